@@ -19,7 +19,7 @@ import multiprocessing
 from pathlib import Path
 from typing import Any
 
-from harness import BAGS, command, SHARED, start_of, STUDY
+from harness import BAGS, command, figures_of, SHARED, start_of, STUDY
 import numpy as np
 
 from landmark_nav.learning.panorama.photometry import Photometry
@@ -197,16 +197,9 @@ def numbers(report: dict[str, Any]) -> np.ndarray[Any, np.dtype[np.float64]]:
     """RMSE [mm], heading [deg], NEES, undetected failures, landmarks."""
     if not report:
         return np.full(5, np.nan)
-    fused = report['fused']
-    return np.array(
-        [
-            1e3 * fused['position_rmse_m'],
-            fused['heading_rmse_deg'],
-            report['nees']['mean'],
-            report['silently_wrong'],
-            report['landmarks'],
-        ]
-    )
+    figures = figures_of(report)
+    names = ('fused_mm', 'fused_deg', 'nees', 'beyond_5s', 'landmarks')
+    return np.array([figures[name] for name in names])
 
 
 def scenes(rooms: Path) -> Iterator[Path]:

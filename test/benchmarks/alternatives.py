@@ -194,15 +194,10 @@ class FeatureLocator:
             return None
         camera = frame.camera
         fit = partial(
-            cv2.solvePnPRansac,
-            self._points[known],
-            pixels[seen],
-            camera.matrix,
-            np.array(camera.distortion),
-            iterationsCount=300,
-            reprojectionError=REPROJECTION_PX,
+            cv2.solvePnPRansac, self._points[known], pixels[seen], camera.matrix,
+            np.array(camera.distortion), iterationsCount=300, reprojectionError=REPROJECTION_PX,
             confidence=0.999,
-        )
+        )  # fmt: skip
         try:
             done, turn, shift, inliers = fit(flags=cv2.SOLVEPNP_SQPNP)
         except cv2.error:
@@ -212,13 +207,9 @@ class FeatureLocator:
             return None
         used = inliers[:, 0]
         turn, shift = cv2.solvePnPRefineLM(
-            self._points[known][used],
-            pixels[seen][used],
-            camera.matrix,
-            np.array(camera.distortion),
-            turn,
-            shift,
-        )
+            self._points[known][used], pixels[seen][used], camera.matrix,
+            np.array(camera.distortion), turn, shift,
+        )  # fmt: skip
         return planar(cv2.Rodrigues(turn)[0], shift, frame, self._mount)
 
 

@@ -182,15 +182,9 @@ def record(case: Case, folder: Path, seed: int) -> None:
     with BagWriter(folder / 'learn') as bag:
         for scene, pose in case.sweeps:
             world = TiltedWorld(
-                scene,
-                pose,
-                seed,
-                camera=case.camera,
-                mount=case.true_mount,
-                people=case.people,
-                start_ns=start_ns,
-                renderer=_renderer(scene, case.camera),
-            )
+                scene, pose, seed, camera=case.camera, mount=case.true_mount, people=case.people,
+                start_ns=start_ns, renderer=_renderer(scene, case.camera),
+            )  # fmt: skip
             world.tilt_rad = case.tilt_rad
             world.place(pose, -np.pi, case.tilt_rad)
             for message in sweep_messages(world, factory, frames=case.frames):

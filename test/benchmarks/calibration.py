@@ -26,7 +26,7 @@ import logging
 from pathlib import Path
 import tempfile
 
-from harness import command, Drive, start_of, STUDY, summary
+from harness import any_of, command, Drive, start_of, STUDY, summary
 import numpy as np
 
 from landmark_nav.calibration import Calibration, NAMES, shown, UNITS
@@ -274,7 +274,7 @@ def main() -> int:
         study_map = learned(args.study, right, Path(scratch) / 'right')
         assert study_map is not None, 'the study can be learned'
         for name, error in ERRORS.items():
-            if not any(part in name for part in args.only or ['']):
+            if not any_of(args.only, name):
                 continue
             wrong = right.with_values(**{key: right[key][0] + off for key, off in error.items()})
             maps = {'driving': study_map}

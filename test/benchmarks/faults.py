@@ -19,7 +19,7 @@ import tempfile
 from typing import Any
 
 from drive_faults import degraded, faults, FOR_GOOD_S, write_bag
-from harness import Drive, drive_parser, START_SIGMA
+from harness import any_of, Drive, drive_parser, START_SIGMA
 import numpy as np
 
 from landmark_nav.evaluation.metrics import pose_errors, undetected_failures
@@ -110,7 +110,7 @@ def main() -> int:
     drive, good = Drive.of(args), True
     print(f'{"fault":44} seen   back  tracking  wrong without a report')
     for name, fault in faults(drive.bag).items():
-        if not any(part in name for part in args.only or ['']):
+        if not any_of(args.only, name):
             continue
         start, at_s = drive.start, args.at
         if name == 'start 1 m wrong':

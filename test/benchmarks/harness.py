@@ -156,3 +156,26 @@ def print_row(row: dict[str, Any], width: int, first: bool = False, digits: int 
         print('\n' + '  '.join(f'{name:>{width}}' for name in row))
     cells = (v if isinstance(v, str) else f'{v:.{digits}g}' for v in row.values())
     print('  '.join(f'{cell:>{width}}' for cell in cells), flush=True)
+
+
+def figures_of(run: dict[str, Any]) -> dict[str, float]:
+    """What tables show of a report of `evaluate`, millimetres and degrees."""
+    return {
+        'fused_mm': 1e3 * run['fused']['position_rmse_m'],
+        'fused_deg': run['fused']['heading_rmse_deg'],
+        'availability': run['availability'],
+        'nees': run['nees']['mean'],
+        'beyond_5s': run['silently_wrong'],
+        'crlb_ratio': run['crlb_ratio'],
+        'landmarks': run['landmarks'],
+    }
+
+
+def any_of(parts: Iterable[str] | None, name: str) -> bool:
+    """Whether a name holds one of the parts that `--only` gives, or none is given."""
+    return not parts or any(part in name for part in parts)
+
+
+def within(bounds: dict[str, tuple[float, float]], row: dict[str, Any]) -> bool:
+    """Whether each figure of a row is between its bounds."""
+    return all(low <= row[name] <= high for name, (low, high) in bounds.items())

@@ -24,7 +24,7 @@ from __future__ import annotations
 import argparse
 from dataclasses import dataclass
 
-from bare_landmarks import patch_points
+from builders import patch_points
 import cv2
 from harness import learned_room, print_row, rooms_parser
 import numpy as np

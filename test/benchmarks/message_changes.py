@@ -102,8 +102,7 @@ def set_forward(seconds: float, after_s: float) -> Change:
 
     def shown(stamp: int) -> int:
         first.append(stamp)
-        late = stamp - first[0] > after_s * NS
-        return stamp + round(seconds * NS) if late else stamp
+        return stamp + round(seconds * NS) * (stamp - first[0] > after_s * NS)
 
     return stamps(shown)
 
@@ -206,9 +205,9 @@ def angle(change: Callable[[float], float], joint: str = 'pan_joint') -> Change:
     """Change the position of one joint."""
 
     def altered(message: Any) -> Any:
-        message.position = np.array(message.position)
-        k = list(message.name).index(joint)
-        message.position[k] = change(message.position[k])
+        position, k = np.array(message.position), list(message.name).index(joint)
+        position[k] = change(position[k])
+        message.position = position
         return message
 
     return altered
@@ -251,8 +250,8 @@ def filtered(seconds: float) -> Change:
     low_pass = LowPass(seconds)
 
     def change(message: Any) -> Any:
-        position = np.array(message.position)
-        message.position = low_pass(decode.stamp_ns(message.header), position)
+        stamp = decode.stamp_ns(message.header)
+        message.position = low_pass(stamp, np.array(message.position))
         return message
 
     return change
@@ -455,7 +454,7 @@ def odometry_filtered(seconds: float) -> Change:
     return change
 
 
-def path(by: list[list[float]] | FloatArray) -> Change:
+def path(by: list[list[float]]) -> Change:
     """Multiply positions by a matrix (2, 2); headings stay as they were."""
 
     def change(message: Any) -> Any:

@@ -36,13 +36,10 @@ def driven(robot: int, data: Path, folder: Path) -> dict[str, Any]:
     calibration = load_calibration(folder / 'log_robot.yaml')
     bag, posts = Bag(log), load_map(folder / 'log_map')
     run = replay(
-        sensor_events(bag, calibration.mount),
-        posts,
-        calibration,
+        sensor_events(bag, calibration.mount), posts, calibration,
         load_configuration(folder / 'log_config.yaml', folder / 'log_robot.yaml', *READS),
-        np.array(start_of(folder, 'log_start.json')),
-        np.diag(START_SIGMA**2),
-    )
+        np.array(start_of(folder, 'log_start.json')), np.diag(START_SIGMA**2),
+    )  # fmt: skip
     return pose_report(run, run_errors(run), posts)
 
 

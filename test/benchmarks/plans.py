@@ -156,14 +156,9 @@ def localize(
     index = np.flatnonzero(observable(axis_position(base, mount), result.map, config.triplet))
     bearing = bearings(axis, truth[index])
     whole = fully_in_view(
-        result.map.corners[index],
-        base,
-        DEFAULT_CAMERA,
-        mount,
-        bearing,
-        0.0,
+        result.map.corners[index], base, DEFAULT_CAMERA, mount, bearing, 0.0,
         config.triplet.border_px,
-    )
+    )  # fmt: skip
     index, bearing = index[whole], bearing[whole]
     sigma = config.triplet.bearing_sigma_rad
     fix = triangulate(

@@ -14,7 +14,7 @@ import json
 from pathlib import Path
 import tempfile
 
-from harness import command, evaluate, learn, print_row, start_of
+from harness import command, evaluate, figures_of, learn, print_row, start_of, within
 import numpy as np
 from scipy.optimize import brentq
 from scipy.stats import chi2
@@ -45,30 +45,23 @@ def run_room(
     command('simulate', '--out', folder, '--overwrite', '--seed', seed, *changes, *options)
     learned = learn(folder, folder / 'map')
     driven = evaluate(folder, folder / 'map', start=start_of(folder))
+    low, high = driven['nees']['interval_95']
     return {
         'seed': seed,
-        'landmarks': driven['landmarks'],
+        **figures_of(driven),
         'walls': len(learned['landmarks_per_wall']),
         'target': _target_elected(folder),
         'sweep_mm': 1e3 * max(s['error_position_m'] for s in learned['sweeps']),
         'sweep_deg': max(s['error_heading_deg'] for s in learned['sweeps']),
-        'fused_mm': 1e3 * driven['fused']['position_rmse_m'],
-        'fused_deg': driven['fused']['heading_rmse_deg'],
-        'availability': driven['availability'],
-        'nees': driven['nees']['mean'],
-        'nees_low': driven['nees']['interval_95'][0],
-        'nees_high': driven['nees']['interval_95'][1],
-        'beyond_5s': driven['silently_wrong'],
-        'crlb_ratio': driven['crlb_ratio'],
+        'nees_low': low,
+        'nees_high': high,
         'odometry_mm': 1e3 * driven['odometry']['position_rmse_m'],
     }
 
 
 def meets_bounds(row: dict[str, float | bool]) -> bool:
     """Whether a room is as good as every room has to be."""
-    return row['nees_low'] <= row['nees'] <= row['nees_high'] and all(
-        low <= row[name] <= high for name, (low, high) in BOUNDS.items()
-    )
+    return within({**BOUNDS, 'nees': (row['nees_low'], row['nees_high'])}, row)
 
 
 def over_by_chance(nees_high: float) -> float:

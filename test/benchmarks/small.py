@@ -12,7 +12,7 @@ import json
 from pathlib import Path
 import tempfile
 
-from harness import BAGS, evaluate, learn, REPOSITORY, start_of
+from harness import BAGS, evaluate, figures_of, learn, REPOSITORY, start_of
 from rooms import run_room
 
 BASELINE = Path(__file__).with_name('baseline.json')
@@ -34,14 +34,8 @@ def recorded_room(out: Path) -> Figures:
 
 def recorded_figures(out: Path) -> Figures:
     """Read what `recorded_room` left."""
-    run = json.loads((out / 'run.json').read_text())
-    return {
-        'fused_mm': 1e3 * run['fused']['position_rmse_m'],
-        'fused_deg': run['fused']['heading_rmse_deg'],
-        'crlb_ratio': run['crlb_ratio'],
-        'availability': run['availability'],
-        'landmarks': run['landmarks'],
-    }
+    figures = figures_of(json.loads((out / 'run.json').read_text()))
+    return {name: figures[name] for name in FIGURES}
 
 
 def simulated_room(out: Path) -> Figures:

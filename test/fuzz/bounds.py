@@ -21,13 +21,9 @@ T = TypeVar('T')
 
 # Few in CI, the same from run to run; `make fuzz N=10000` draws more, and others each time.
 FUZZ = settings(
-    max_examples=int(os.environ.get('FUZZ_N', '25')),
-    derandomize='FUZZ_N' not in os.environ,
-    database=None,
-    deadline=None,
-    print_blob=True,
-    suppress_health_check=list(HealthCheck),
-)
+    max_examples=int(os.environ.get('FUZZ_N', '25')), derandomize='FUZZ_N' not in os.environ,
+    database=None, deadline=None, print_blob=True, suppress_health_check=list(HealthCheck),
+)  # fmt: skip
 
 
 @contextmanager

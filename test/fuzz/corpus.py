@@ -5,7 +5,7 @@ from __future__ import annotations
 from functools import cache
 from typing import Any
 
-from bare_landmarks import bare_landmark
+from builders import bare_landmark
 import numpy as np
 
 from landmark_nav.calibration import Calibration
@@ -28,13 +28,14 @@ from landmark_nav.types import (
 SECOND_NS = 1_000_000_000
 CAMERA = CameraModel(64, 48, 60.0, 60.0, 31.5, 23.5)
 
+_CORNERS = {'south': (0.0, 0.0), 'east': (4.0, 0.0), 'north': (4.0, 3.0), 'west': (0.0, 3.0)}
 ROOM_YAML: dict[str, Any] = {
     'frame_id': 'map',
     'walls': [
-        {'id': 'south', 'start': [0.0, 0.0], 'end': [4.0, 0.0], 'height': 2.5},
-        {'id': 'east', 'start': [4.0, 0.0], 'end': [4.0, 3.0], 'height': 2.5},
-        {'id': 'north', 'start': [4.0, 3.0], 'end': [0.0, 3.0], 'height': 2.5},
-        {'id': 'west', 'start': [0.0, 3.0], 'end': [0.0, 0.0], 'height': 2.5},
+        {'id': name, 'start': list(start), 'end': list(end), 'height': 2.5}
+        for (name, start), end in zip(
+            _CORNERS.items(), np.roll(list(_CORNERS.values()), -1, 0).tolist(), strict=True
+        )
     ],
     'reference_area': {
         'papers': [
@@ -60,17 +61,13 @@ def landmark_map(count: int = 6) -> LandmarkMap:
     rng = np.random.default_rng(0)
     landmarks = tuple(
         bare_landmark(
-            k,
-            np.array([0.5 + 0.6 * k, 0.0, 1.1]),
-            np.diag([1e-4, 1e-5, 1e-4]),
-            normal=np.array([0.0, 1.0, 0.0]),
-            height_m=0.15,
+            k, np.array([0.5 + 0.6 * k, 0.0, 1.1]), np.diag([1e-4, 1e-5, 1e-4]),
+            normal=np.array([0.0, 1.0, 0.0]), height_m=0.15,
             patch=rng.integers(0, 255, (15, 20), dtype=np.uint8),
-            viewpoint=np.array([2.0, 1.5, 1.1]),
-            wall_id='south',
+            viewpoint=np.array([2.0, 1.5, 1.1]), wall_id='south',
         )
         for k in range(count)
-    )
+    )  # fmt: skip
     return LandmarkMap(landmarks)
 
 
@@ -89,30 +86,19 @@ def messages(make: MessageFactory, stamp_ns: int = 10 * SECOND_NS) -> dict[str, 
     joints = JointSample(stamp_ns, 0.1)
     bearings = np.array([-0.4, 0.0, 0.5])
     found = Detections(
-        stamp_ns,
-        np.arange(3),
-        bearings,
-        np.full(3, 1e-6),
-        np.full(3, 0.9),
-        np.full((3, 2), 20.0),
-        np.array([4]),
-        points=np.column_stack([-np.tan(bearings), np.zeros(3)]),
+        stamp_ns, np.arange(3), bearings, np.full(3, 1e-6), np.full(3, 0.9), np.full((3, 2), 20.0),
+        np.array([4]), points=np.column_stack([-np.tan(bearings), np.zeros(3)]),
         point_covariance=np.tile(1e-6 * np.eye(2), (3, 1, 1)),
-    )
+    )  # fmt: skip
     calibration = Calibration.of_mount(MOUNT)
     expected = Expectation(stamp_ns, pose.pose, pose.covariance, calibration, 0.01)
     triplet = Triplet(stamp_ns, np.arange(3), bearings, np.full(3, 1e-3), np.eye(3) * 1e-4, 0.1)
     place = GlobalPose(stamp_ns, pose.pose, pose.covariance, np.arange(3))
     cylinder = Cylinder(64, 16, 10.2, 31.5, 7.5)
     panorama = Panorama(
-        stamp_ns,
-        np.ascontiguousarray(image[:16]),
-        np.ones((16, 64), dtype=np.bool_),
-        cylinder,
-        np.array([2.0, 1.5, 1.1]),
-        0.0,
-        np.eye(4) * 1e-4,
-    )
+        stamp_ns, np.ascontiguousarray(image[:16]), np.ones((16, 64), dtype=np.bool_), cylinder,
+        np.array([2.0, 1.5, 1.1]), 0.0, np.eye(4) * 1e-4,
+    )  # fmt: skip
     points, atlas, _ = encode.landmark_map(make, landmark_map(), stamp_ns)
     panorama_image, panorama_info, panorama_pose = encode.panorama(make, panorama)
     frames = tuple(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from typing import Any
 
 from hypothesis import strategies as st
@@ -22,17 +23,7 @@ _WORDS = (
 
 @st.composite
 def changed_bytes(draw: st.DrawFn, valid: bytes, most: int = 8) -> bytes:
-    """
-    Bytes of a valid file with up to `most` changes, or cut off.
-
-    Parameters
-    ----------
-    valid : bytes
-        The file.
-    most : int
-        The most changes.
-
-    """
+    """Bytes of a valid file with up to `most` changes, or cut off."""
     data = bytearray(valid)
     for _ in range(draw(st.integers(1, most))):
         at = draw(st.integers(0, max(0, len(data) - 1)))
@@ -47,9 +38,7 @@ def changed_bytes(draw: st.DrawFn, valid: bytes, most: int = 8) -> bytes:
         elif kind == 'repeat':
             data[at:at] = data[at : at + 16 * span] * draw(st.integers(1, 8))
         else:
-            value = draw(
-                st.sampled_from((0, 1, 0x7FFFFFFF, 0xFFFFFFFF, (1 << 63) - 1, (1 << 64) - 1))
-            )
+            value = draw(st.sampled_from((0, 1, 2**31 - 1, 2**32 - 1, 2**63 - 1, 2**64 - 1)))
             size = draw(st.sampled_from((1, 2, 4, 8)))
             data[at : at + size] = (value & ((1 << 8 * size) - 1)).to_bytes(size, 'little')
     return bytes(data)
@@ -107,38 +96,18 @@ _BAD_FLOATS = (float('nan'), float('inf'), float('-inf'))
 
 @st.composite
 def changed_message(draw: st.DrawFn, type_name: str, valid: Any, most: int = 3) -> Any:
-    """
-    Message with up to `most` fields replaced; all values fit their types, as on the wire.
-
-    Parameters
-    ----------
-    type_name : str
-        Such as ``sensor_msgs/msg/Image``.
-    valid : message
-        Of the type, of any class; it is not changed.
-    most : int
-        The most fields.
-
-    Returns
-    -------
-    message
-        Fields as attributes, of rosbags' classes.
-
-    """
-    changes = draw(st.integers(1, most))
+    """Copy of a message, in rosbags' form, with up to `most` fields replaced; values fit types."""
     message = _as_rosbags(type_name, valid)
-    for _ in range(changes):
+    for _ in range(draw(st.integers(1, most))):
         _change(draw, type_name, message)
     return message
 
 
 def _as_rosbags(type_name: str, message: Any) -> Any:
     """Copy of a message in rosbags' own, mutable, form."""
-    store = default_typestore()
-    fields = {}
-    for name, description in store.fielddefs[type_name][1]:
-        fields[name] = _copied_field(description, getattr(message, name))
-    return _Message(type_name, fields)
+    fields = default_typestore().fielddefs[type_name][1]
+    copied = {name: _copied_field(kind, getattr(message, name)) for name, kind in fields}
+    return _Message(type_name, copied)
 
 
 class _Message:
@@ -178,16 +147,11 @@ def _change(draw: st.DrawFn, type_name: str, message: Any) -> None:
 
 
 def _changed_array(draw: st.DrawFn, element: Any, value: Any, fixed: bool) -> Any:
-    what = draw(
-        st.sampled_from(('entry', 'entry', 'fill') if fixed else ('entry', 'fill', 'length'))
-    )
+    kinds = ('entry', 'entry', 'fill') if fixed else ('entry', 'fill', 'length')
+    what, count = draw(st.sampled_from(kinds)), len(value)
     if what == 'length':
-        length = draw(
-            st.sampled_from((0, 1, len(value) // 2, max(0, len(value) - 1), 2 * len(value)))
-        )
-        if isinstance(value, np.ndarray):
-            return np.resize(value, length)
-        return (value * 2)[:length]
+        length = draw(st.sampled_from((0, 1, count // 2, max(0, count - 1), 2 * count)))
+        return np.resize(value, length) if isinstance(value, np.ndarray) else (2 * value)[:length]
     if not len(value):
         return value
     at = draw(st.integers(0, len(value) - 1))
@@ -199,16 +163,16 @@ def _changed_array(draw: st.DrawFn, element: Any, value: Any, fixed: bool) -> An
         value[:] = odd
     elif isinstance(value, np.ndarray) and value.dtype == np.uint8:
         # Bytes that hold numbers: a run of them is one.
-        run = draw(st.one_of(st.binary(max_size=16), st.sampled_from(_BAD_FLOATS).map(_packed)))
+        run = draw(
+            st.one_of(
+                st.binary(max_size=16), st.sampled_from(_BAD_FLOATS).map(struct.Struct('<d').pack)
+            )
+        )
         run = run[: len(value) - at]
         value[at : at + len(run)] = np.frombuffer(run, np.uint8)
     else:
         value[at] = odd
     return value
-
-
-def _packed(number: float) -> bytes:
-    return np.float64(number).tobytes()
 
 
 def _scalar(name: str) -> st.SearchStrategy[Any]:

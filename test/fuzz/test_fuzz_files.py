@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from copy import deepcopy
-import os
 from pathlib import Path
 import shutil
 from typing import Any
@@ -178,23 +177,12 @@ def read_all(path):
 @given(data=st.data())
 def test_bags(kind, data, scratch):
     path = scratch / ('bag.bag' if kind == 'ros1' else 'bag')
-    copy = scratch / 'valid'
-    if not path.exists():
-        small = {topic: corpus.recorded()[topic] for topic in BAG_TOPICS}
-        file = write_bag(path, kind, small)
-        copy.write_bytes(file.read_bytes())
-        (scratch / 'name').write_text(os.fspath(file), encoding='utf-8')
-    file = Path((scratch / 'name').read_text(encoding='utf-8'))
-    metadata = path / 'metadata.yaml'
-    if kind != 'ros1' and not (scratch / 'metadata').exists():
-        (scratch / 'metadata').write_bytes(metadata.read_bytes())
-    if kind != 'ros1':
-        metadata.write_bytes((scratch / 'metadata').read_bytes())
-    file.write_bytes(copy.read_bytes())
+    if path.exists():
+        shutil.rmtree(path) if path.is_dir() else path.unlink()
+    file = write_bag(path, kind, {topic: corpus.recorded()[topic] for topic in BAG_TOPICS})
     if kind != 'ros1' and data.draw(st.integers(0, 3)) == 0:
-        metadata.write_bytes(data.draw(changed_bytes(metadata.read_bytes())))
-    else:
-        file.write_bytes(data.draw(changed_bytes(copy.read_bytes())))
+        file = path / 'metadata.yaml'
+    file.write_bytes(data.draw(changed_bytes(file.read_bytes())))
     enter(lambda: read_all(path))
     enter(lambda: check_bag(path))
 

@@ -15,7 +15,14 @@ from landmark_nav.storage.bags.definitions import TOPIC_TYPES
 
 def _decoders():
     valid, mount = corpus.recorded(), corpus.MOUNT
-    return {
+    panorama = ('panorama/image', 'panorama/camera_info', 'panorama/pose')
+    whole = {
+        part: lambda m, part=part: decode.panorama(
+            *(m if k == part else valid[k] for k in panorama)
+        )
+        for part in panorama
+    }
+    return whole | {
         'camera/image_raw': decode.image,
         'camera/image_raw/compressed': decode.image,
         'camera/camera_info': decode.camera_model,
@@ -23,15 +30,6 @@ def _decoders():
         'odom': decode.odometry,
         'sweep/trajectory': partial(decode.sweep_trajectory, mount=mount),
         'sweep/pose': decode.pose_estimate,
-        'panorama/image': lambda m: decode.panorama(
-            m, valid['panorama/camera_info'], valid['panorama/pose']
-        ),
-        'panorama/camera_info': lambda m: decode.panorama(
-            valid['panorama/image'], m, valid['panorama/pose']
-        ),
-        'panorama/pose': lambda m: decode.panorama(
-            valid['panorama/image'], valid['panorama/camera_info'], m
-        ),
         'landmarks': lambda m: decode.landmark_map(m, valid['landmarks/atlas']),
         'landmarks/atlas': lambda m: decode.landmark_map(valid['landmarks'], m),
         'triplet': decode.triplet,

@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import fcntl
+from importlib import import_module
 from importlib.util import find_spec
 from itertools import count
+import logging
 import os
 from pathlib import Path
 import subprocess
@@ -60,10 +62,12 @@ def start(supervisor):
 
 @pytest.fixture(scope='session')
 def learned_map(once):
-    """Folder of what is learned of the recorded room."""
+    """Folder of what is learned of the recorded room; figures take a sixth of the time."""
     from harness import BAGS, learn
 
-    return once('learned', lambda out: learn(BAGS, out / 'map')) / 'map'
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr('landmark_nav.cli.learn._draw', lambda *_: None)
+        return once('learned', lambda out: learn(BAGS, out / 'map')) / 'map'
 
 
 @pytest.fixture
@@ -113,3 +117,21 @@ def setup_files(tmp_path):
     ]
     room.write_text('\n'.join(['walls:', *walls, '']))
     return {'robot_file': str(robot), 'room_file': str(room)}
+
+
+@pytest.fixture
+def run_main(monkeypatch, domain_id, capfd):
+    """Run a node here, until it ends by itself; its exit status and the lines that it wrote."""
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(domain_id))
+    # It would end the tests.
+    monkeypatch.setattr('landmark_nav.ros.run._GRACE_S', 600.0)
+    package = logging.getLogger('landmark_nav')
+    for name in ('handlers', 'propagate', 'level'):
+        monkeypatch.setattr(package, name, getattr(package, name))
+
+    def run(name, *arguments):
+        monkeypatch.setattr('sys.argv', [name, '--ros-args', *arguments])
+        status = import_module(f'landmark_nav.nodes.{name}').main()
+        return status, capfd.readouterr().err.strip().splitlines()
+
+    return run

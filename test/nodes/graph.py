@@ -5,12 +5,16 @@ from __future__ import annotations
 import time
 from typing import Any, TypeVar
 
+from builders import bare_landmark
 import numpy as np
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 
 from landmark_nav.evaluation.metrics import pose_errors
+from landmark_nav.messages import encode
+from landmark_nav.ros.topics import ros_factory
+from landmark_nav.types import LandmarkMap
 
 Made = TypeVar('Made', bound=Any)
 
@@ -63,3 +67,20 @@ def is_right(client, truth):
         return False
     away_m, turned_rad = off(fused, truth)
     return away_m < 0.05 and turned_rad < np.radians(1.0)
+
+
+def map_sender(client):
+    """Publishes maps as the learner does."""
+    publishers = [client.advertise(topic) for topic in ('landmarks', 'landmarks/atlas')]
+
+    def send(landmark_map, stamp_ns=1):
+        messages = encode.landmark_map(ros_factory, landmark_map, stamp_ns)
+        for publisher, message in zip(publishers, messages, strict=False):
+            publisher.publish(message)
+
+    return send
+
+
+def small_map():
+    places = [[1.0 + k, 0.0, 1.5] for k in range(4)]
+    return LandmarkMap(tuple(bare_landmark(k, p, 1e-4 * np.eye(3)) for k, p in enumerate(places)))

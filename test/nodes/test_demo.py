@@ -41,15 +41,11 @@ SHORT_SWEEP = '/**: {ros__parameters: {capture: {frames: 16, step_rad: 0.3926991
 def demo(tmp_path, domain_id):
     """A demo under way, in the domain of its environment."""
     process = subprocess.Popen(
-        [*DEMO, str(tmp_path / 'demo')],
-        env={**os.environ, 'ROS_DOMAIN_ID': str(domain_id)},
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
+        [*DEMO, str(tmp_path / 'demo')], env={**os.environ, 'ROS_DOMAIN_ID': str(domain_id)},
+        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, start_new_session=True,
         # What a shell starts in its background ignores the signal, and so would this.
         preexec_fn=lambda: signal.signal(signal.SIGINT, signal.SIG_DFL),
-    )
+    )  # fmt: skip
     yield process
     process.kill()
 

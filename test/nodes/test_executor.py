@@ -159,11 +159,8 @@ def test_a_failure_sets_the_status_though_another_callback_takes_longer_than_the
         sys.exit(run.run_node(Busy, threads=3))
     """
     done = subprocess.run(
-        [sys.executable, '-c', textwrap.dedent(script)],
-        capture_output=True,
-        text=True,
-        timeout=60,
-        env={**os.environ, 'ROS_DOMAIN_ID': str(domain_id)},
-    )
+        [sys.executable, '-c', textwrap.dedent(script)], capture_output=True, text=True,
+        timeout=60, env={**os.environ, 'ROS_DOMAIN_ID': str(domain_id)},
+    )  # fmt: skip
     assert done.returncode == 1
     assert 'a wheel fell off' in done.stderr

@@ -1,20 +1,19 @@
 """Nodes as processes start, report, end cleanly and by status; clocks of their timers."""
 
-import os
 from pathlib import Path
 import signal
-import subprocess
-import sys
 
+from graph import small_map
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 import pytest
 from rosbags.rosbag1 import Writer
 from rosbags.typesys import get_typestore, Stores
 
-from landmark_nav.demo.supervisor import node_command, node_commands, node_environment
+from landmark_nav.demo.supervisor import node_commands
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.ros.robot_client import ServiceDiscovery
+from landmark_nav.storage.maps import save_map
 
 NODES = {
     'landmark_learner': ('room_file',),
@@ -41,49 +40,29 @@ def test_all_start_and_end_cleanly(start, supervisor, client, setup_files, tmp_p
 
 
 @pytest.mark.parametrize(
-    ('node', 'arguments', 'words'),
+    ('node', 'parameter', 'words'),
     [
-        ('sweep_capture', [], 'parameter robot_file of sweep_capture is not set'),
-        ('sweep_capture', ['-p', 'capture.frames:=many'], 'wrong type'),
-        ('bag_player', ['-p', 'bag:=/nowhere'], '/nowhere: '),
+        ('sweep_capture', 'use_sim_time:=false', 'robot_file of sweep_capture is not set'),
+        ('sweep_capture', 'capture.frames:=many', 'wrong type'),
+        ('bag_player', 'bag:=/nowhere', '/nowhere: '),
+        ('all_nodes', 'robot_file:=nowhere.yaml', 'nowhere.yaml: cannot be read'),
     ],
 )
-def test_what_cannot_run_states_why(node, arguments, words, domain_id):
-    reported = output_of(arguments, domain_id, node)
-    assert len(reported) == 1
-    assert words in reported[0]
+def test_what_cannot_run_states_why(node, parameter, words, run_main):
+    status, (line,) = run_main(node, '-p', parameter)
+    assert status == 1
+    assert words in line
 
 
-def output_of(arguments, domain_id, node='sweep_capture'):
-    """Lines of a node that cannot run."""
-    command = [sys.executable, '-m', f'landmark_nav.nodes.{node}', '--ros-args', *arguments]
-    environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain_id)}
-    done = subprocess.run(command, capture_output=True, text=True, timeout=30, env=environment)
-    assert done.returncode == 1
-    return done.stderr.strip().splitlines()
-
-
-def played(bag, domain_id):
-    """Exit status and output of the player of a bag."""
-    done = subprocess.run(
-        node_command('bag_player', bag=str(bag)),
-        capture_output=True,
-        text=True,
-        timeout=60,
-        env={**os.environ, **node_environment(domain_id)},
-    )
-    return done.returncode, done.stdout + done.stderr
-
-
-def test_a_bag_of_ros_1_is_played(tmp_path, domain_id):
+def test_a_bag_of_ros_1_is_played(tmp_path, run_main):
     store = get_typestore(Stores.ROS1_NOETIC)
     kind = 'std_msgs/msg/String'
     with Writer(tmp_path / 'notes.bag') as bag:
         notes = bag.add_connection('/note', kind, typestore=store)
         bag.write(notes, 5, store.serialize_ros1(store.types[kind]('a'), kind))
-    status, reported = played(tmp_path / 'notes.bag', domain_id)
+    status, reported = run_main('bag_player', '-p', f'bag:={tmp_path / "notes.bag"}')
     assert status == 0, reported
-    assert 'is played' in reported
+    assert 'is played' in '\n'.join(reported)
 
 
 FUSION, LEARNER = 'odometry_fusion', 'landmark_learner'
@@ -160,12 +139,13 @@ def test_a_node_that_cannot_be_configured_says_why_and_can_be_tried_again(
 
 
 def test_an_inactive_node_refuses_services_and_keeps_what_comes_once(
-    start, client, setup_files, learned_map
+    start, client, setup_files, tmp_path
 ):
+    save_map(small_map(), tmp_path / 'map')
     start(FUSION, robot_file=setup_files['robot_file'], **MANAGED)
     manager = Manager(client, FUSION)
     assert manager(Transition.TRANSITION_CONFIGURE)
-    start(LEARNER, room_file=setup_files['room_file'], map_folder=str(learned_map), **MANAGED)
+    start(LEARNER, room_file=setup_files['room_file'], map_folder=str(tmp_path / 'map'), **MANAGED)
     learner = Manager(client, LEARNER)
     assert learner(Transition.TRANSITION_CONFIGURE)
     with pytest.raises(LandmarkNavError, match='landmark_learner is inactive: activate it'):
@@ -190,9 +170,3 @@ def test_all_nodes_run_in_one_process(supervisor, client, setup_files, tmp_path)
     log = (tmp_path / 'logs' / f'{name}.log').read_text()
     assert 'Traceback' not in log
     assert all(f'[{node}]: ready' in log for node in apart)
-
-
-def test_one_of_them_that_cannot_be_made_ends_all(supervisor, tmp_path):
-    process = supervisor.start('all_nodes', node_command('all_nodes', robot_file='nowhere.yaml'))
-    assert process.wait(60.0) == 1
-    assert 'nowhere.yaml: cannot be read' in (tmp_path / 'logs' / 'all_nodes.log').read_text()

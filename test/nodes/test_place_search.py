@@ -8,6 +8,7 @@ import time
 from types import SimpleNamespace
 from typing import Any, cast
 
+from graph import map_sender
 import numpy as np
 import pytest
 from rclpy.task import Future
@@ -32,70 +33,48 @@ SURE, WIDE = 1e-4 * np.eye(3), np.eye(3)
 
 
 @pytest.fixture
-def prior():
-    return ExpectedPoses(0.5)
-
-
-@pytest.fixture
-def reported():
-    return []
-
-
-@pytest.fixture
-def services():
-    return {}
-
-
-@pytest.fixture
-def ended():
-    return Future()
-
-
-@pytest.fixture
-def search(prior, reported, services, ended):
-    publisher = SimpleNamespace(publish=reported.append)
-
-    def offer(service, action, **_):
-        services[service] = action
-
+def search():
+    """A search, the poses it expects (`prior`) and what it reports (`reported`)."""
+    prior, reported = ExpectedPoses(0.5), []
     node: Any = SimpleNamespace(
-        advertise=lambda _name: publisher,
-        offer=offer,
-        ended=ended,
+        advertise=lambda _name: SimpleNamespace(publish=reported.append),
+        offer=lambda service, action, **_: None,
+        ended=Future(),
         config=replace(Configuration(), relocalization=RelocalizationConfig(search_s=0.2)),
     )
-    made = PlaceSearch(node, Calibration.of_mount(PanTiltMount()), prior.recent)
+    made: Any = PlaceSearch(node, Calibration.of_mount(PanTiltMount()), prior.recent)
     landmark: Any = SimpleNamespace(edge=False, shared_loading=np.zeros((3, 0)))
     made.use(LandmarkMap((landmark,)))
     made.add_odometry(OdometrySample(0, np.zeros(3)))
+    made.prior, made.reported = prior, reported
     return made
 
 
-def fuse(prior, stamp_ns, covariance):
+def fuse(search, stamp_ns, covariance):
     pose = PoseEstimate(stamp_ns, np.zeros(3), covariance)
-    prior.add(pose, OdometrySample(stamp_ns, np.zeros(3)))
+    search.prior.add(pose, OdometrySample(stamp_ns, np.zeros(3)))
 
 
-def test_nobody_reported_the_place(search):
+def test_it_searches_where_no_pose_or_an_uncertain_one_is_known(search):
+    search.consider(0)
+    assert search.active
+    fuse(search, 0, SURE)
+    search.consider(0)
+    assert not search.active
+    fuse(search, 0, WIDE)
     search.consider(0)
     assert search.active
 
 
-def test_a_fused_pose_that_is_late_is_waited_for(search, prior):
-    fuse(prior, 0, SURE)
+def test_a_fused_pose_that_is_late_is_waited_for(search):
+    fuse(search, 0, SURE)
     search.consider(SECOND)
     assert not search.active
     search.consider(3 * SECOND)
     assert search.active, 'who fused has ended'
-    fuse(prior, 3 * SECOND, SURE)
+    fuse(search, 3 * SECOND, SURE)
     search.consider(3 * SECOND)
     assert not search.active
-
-
-def test_a_pose_that_is_not_known(search, prior):
-    fuse(prior, 0, WIDE)
-    search.consider(0)
-    assert search.active
 
 
 class Finder:
@@ -120,11 +99,11 @@ def frame_at(stamp_ns):
     return CameraFrame(stamp_ns, np.zeros((16, 16), np.uint8), lens, 0.0, pan_rate_rad_s=0.7)
 
 
-def test_a_place_is_reported_with_what_it_was_found_from(search, reported):
+def test_a_place_is_reported_with_what_it_was_found_from(search):
     search.consider(SECOND)
     search._relocalizer = cast(Relocalizer, Finder())
     search.look(frame_at(SECOND))
-    place = decode.global_pose(reported[0])
+    place = decode.global_pose(search.reported[0])
     assert place.stamp_ns == SECOND
     np.testing.assert_array_equal(place.pose, Finder.in_time.pose)
     np.testing.assert_array_equal(place.covariance, SURE)
@@ -137,11 +116,11 @@ def test_a_place_is_reported_with_what_it_was_found_from(search, reported):
     assert search.active
 
 
-def test_a_place_in_a_map_that_is_gone_is_not_reported(search, reported):
+def test_a_place_in_a_map_that_is_gone_is_not_reported(search):
     search.consider(SECOND)
     search._relocalizer = cast(Relocalizer, Finder(lambda: search.use(search.landmarks)))
     search.look(frame_at(SECOND))
-    assert not reported
+    assert not search.reported
     assert search.active
 
 
@@ -163,12 +142,7 @@ def test_it_looks_around_within_the_limits_and_leaves_the_camera_to_others(
     limits = f'pan_min: {LIMITS[0]}\npan_max: {LIMITS[1]}\n'
     robot.write_text((RECORDED / 'robot.yaml').read_text() + limits)
     start(SELECTOR, robot_file=str(robot), yield_s=1.5)
-    for topic, message in zip(
-        ('landmarks', 'landmarks/atlas'),
-        encode.landmark_map(ros_factory, load_map(learned_map), 1),
-        strict=False,
-    ):
-        client.advertise(topic).publish(message)
+    map_sender(client)(load_map(learned_map))
     commands: list[float] = []
     others: list[float] = []
     known = False
@@ -207,7 +181,7 @@ def test_it_looks_around_within_the_limits_and_leaves_the_camera_to_others(
     other.command(0.123)
     live(0.4)
     before = len(commands)
-    live(1.0)
+    live(0.8)
     assert len(commands) == before, 'somebody else turns the camera'
     live(8.0, lambda: len(commands) > before)
     assert len(commands) > before

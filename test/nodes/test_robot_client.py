@@ -2,9 +2,8 @@
 
 from contextlib import contextmanager
 
+from graph import Graph
 import pytest
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.ros.health import Health, Level
@@ -27,18 +26,13 @@ class Counter(LandmarkNode):
 
 @contextmanager
 def counting(domain_id):
-    context = Context()
-    context.init(domain_id=domain_id)
-    node = Counter('counter', 'test', context=context, namespace='/deep/down')
+    graph = Graph(domain_id)
+    node = graph.add(Counter('counter', 'test', context=graph.context, namespace='/deep/down'))
     node.offer('count', node.count)
-    executor = SingleThreadedExecutor(context=context)
-    executor.add_node(node)
     try:
-        yield node, executor
+        yield node, graph.executor
     finally:
-        executor.shutdown()
-        node.destroy_node()
-        context.try_shutdown()
+        graph.close()
 
 
 def test_nothing_is_asked_of_a_node_that_could_not_answer_yet(domain_id, monkeypatch):

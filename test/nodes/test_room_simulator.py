@@ -88,17 +88,17 @@ def stamps(clocks, robot, monkeypatch):
     return reported
 
 
-@pytest.mark.parametrize('set_by_s', [3600.0, 5.0, -5.0, -3600.0])
-def test_stamps_follow_a_system_time_that_is_set(set_by_s, clocks, robot, stamps):
+def test_stamps_follow_a_system_time_that_is_set(clocks, robot, stamps):
     for _ in range(2):
         clocks.pass_by(1.0)
         robot._tick()
     assert stamps['joints'][-1] == pytest.approx(5002.0, abs=0.02)
-    clocks.system_s += set_by_s
-    for reported in stamps.values():
-        reported.clear()
-    clocks.pass_by(1.0)
-    robot._tick()
-    for reported in stamps.values():
-        assert reported[-1] == pytest.approx(5003.0 + set_by_s, abs=0.02)
-    assert len(stamps['joints']) == 60
+    for set_by_s in (3600.0, 5.0, -5.0, -3600.0):
+        clocks.system_s += set_by_s
+        for reported in stamps.values():
+            reported.clear()
+        clocks.pass_by(1.0)
+        robot._tick()
+        for reported in stamps.values():
+            assert reported[-1] == pytest.approx(clocks.system_s, abs=0.02)
+        assert len(stamps['joints']) == 60

@@ -10,14 +10,13 @@ import subprocess
 import sys
 from typing import Any
 
-from graph import is_right, off
+from graph import is_right, map_sender, off
 import numpy as np
 
 from landmark_nav.demo.supervisor import node_environment
 from landmark_nav.evaluation.learning_report import truth_of_bag
-from landmark_nav.messages import encode
 from landmark_nav.messages.clouds import Layout, unpack_cloud
-from landmark_nav.ros.topics import message_class, ros_factory
+from landmark_nav.ros.topics import message_class
 from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.maps import load_map
 from landmark_nav.types import PoseEstimate
@@ -59,7 +58,6 @@ class Watch:
 
     def given_wrongly(self, error):
         """Where the robot is, but for an error, given as if it were certain."""
-        assert self._client.odometry is not None
         stamp = self._client.odometry.stamp_ns
         return PoseEstimate(stamp, self._truth.at([stamp])[0] + error, 1e-4 * np.eye(3))
 
@@ -72,14 +70,9 @@ def test_a_restart_another_map_the_bag_again_and_a_wrong_start(
 ):
     drive, whole = Bag(RECORDED / 'drive'), load_map(learned_map)
     half = replace(whole, landmarks=whole.landmarks[::2])
-    publishers = [client.advertise(topic) for topic in ('landmarks', 'landmarks/atlas')]
+    send_map = map_sender(client)
     ranked: list[Any] = []
     visibilities: list[Any] = []
-
-    def publish_map(landmark_map, stamp_ns):
-        messages = encode.landmark_map(ros_factory, landmark_map, stamp_ns)
-        for publisher, message in zip(publishers, messages, strict=False):
-            publisher.publish(message)
 
     def known():
         return int(client.status_of(FUSION).values.get('landmarks', '0'))
@@ -88,7 +81,7 @@ def test_a_restart_another_map_the_bag_again_and_a_wrong_start(
         return lambda: words in client.status_of(node).reason
 
     watch = Watch(client, drive)
-    publish_map(whole, 1)
+    send_map(whole, 1)
     start(LOCALIZER, robot_file=ROBOT, use_sim_time=True)
     start(SELECTOR, robot_file=ROBOT, use_sim_time=True)
     kind, topic = message_class('sensor_msgs/msg/PointCloud2'), f'{SELECTOR}/triplet_scores'
@@ -116,7 +109,7 @@ def test_a_restart_another_map_the_bag_again_and_a_wrong_start(
         )
     with fusion(domain_id):
         watch.wait(20.0, 'the place after a restart')
-        publish_map(half, 2)
+        send_map(half, 2)
         client.wait(lambda: known() == len(half.landmarks), 15.0, 'the other map')
         first.kill()
         # The clock is set back, and the robot is elsewhere.
@@ -126,7 +119,7 @@ def test_a_restart_another_map_the_bag_again_and_a_wrong_start(
         second.kill()
     # How long a robot stays lost hangs on the landmarks that come into view: there are enough of
     # them at the beginning of the drive, not where a slow machine would be by now.
-    publish_map(whole, 3)
+    send_map(whole, 3)
     client.status.clear()
     with fusion(domain_id):
         client.wait(lambda: known() == len(whole.landmarks), 30.0, 'the map once more')

@@ -9,7 +9,7 @@ import subprocess
 import time
 from typing import Any
 
-from bare_landmarks import bare_landmark
+from graph import map_sender, small_map
 import numpy as np
 import pytest
 from std_srvs.srv import Trigger
@@ -23,14 +23,7 @@ from landmark_nav.ros.robot_client import ServiceDiscovery
 from landmark_nav.ros.topics import ros_factory
 from landmark_nav.storage.maps import load_map, save_map
 from landmark_nav.storage.setup_files import load_room
-from landmark_nav.types import JointSample, LandmarkMap, OdometrySample
-
-
-def small_map():
-    places = [np.array([1.0 + k, 0.0, 1.5]) for k in range(4)]
-    return LandmarkMap(
-        tuple(bare_landmark(k, place, 1e-4 * np.eye(3)) for k, place in enumerate(places))
-    )
+from landmark_nav.types import JointSample, OdometrySample
 
 
 def test_learner_states_what_is_missing(start, client, setup_files, tmp_path):
@@ -72,31 +65,35 @@ def test_one_stamp_that_is_off_costs_the_learner_no_odometry(graph, setup_files)
         node._learn()
 
 
-@pytest.mark.parametrize(
-    ('scale', 'frame', 'why'),
-    [(1.03, 'map', ''), (1.5, 'map', 'no wall of the one'), (1.0, 'hall', "'hall' and 'map'")],
-)
-def test_a_map_of_another_room_is_reported(
-    start, client, setup_files, tmp_path, scale, frame, why
-):
+def test_a_map_of_another_room_is_reported(start, client, setup_files, tmp_path):
     folder, node, room = tmp_path / 'map', 'landmark_learner', setup_files['room_file']
-    walls = tuple(
-        replace(
-            wall, **{at: tuple(scale * v for v in getattr(wall, at)) for at in ('start', 'end')}
+
+    def save(scale, frame):
+        ends = {'start': lambda w: w.start, 'end': lambda w: w.end}
+        walls = tuple(
+            replace(w, **{k: tuple(scale * v for v in end(w)) for k, end in ends.items()})
+            for w in load_room(room).walls
         )
-        for wall in load_room(room).walls
-    )
-    save_map(replace(small_map(), walls=walls, frame_id=frame), folder)
+        save_map(replace(small_map(), walls=walls, frame_id=frame), folder)
+
+    save(1.5, 'map')
     start(node, room_file=room, map_folder=str(folder), load_on_start=True)
-    client.wait(lambda: '4 landmarks' in client.status_of(node).reason, 30.0, 'the map')
+    client.wait(lambda: 'no wall of the one' in client.status_of(node).reason, 30.0, 'the map')
     files = f'{folder} and {room} are of different rooms: '
-    for status_of in (
-        client.status_of(node).reason,
-        client.call('load_map', 10.0),
-        client.call('save_map', 10.0),
+    for scale, frame, why in (
+        (1.5, 'map', 'no wall of the one'),
+        (1.03, 'map', ''),
+        (1.0, 'hall', "'hall' and 'map'"),
     ):
-        assert ('different rooms' in status_of) == bool(why)
-        assert not why or files + why in status_of
+        save(scale, frame)
+        answers = [client.call(service, 10.0) for service in ('load_map', 'save_map')]
+        client.wait(
+            lambda why=why: why in (reason := client.status_of(node).reason)
+            and ('different rooms' in reason) == bool(why), 20.0, 'its health',
+        )  # fmt: skip
+        for answer in answers:
+            assert ('different rooms' in answer) == bool(why)
+            assert not why or files + why in answer
 
 
 def test_localizer_states_what_it_lacks(start, client, setup_files):
@@ -105,17 +102,11 @@ def test_localizer_states_what_it_lacks(start, client, setup_files):
     start(reporter, robot_file=robot, **{'relocalization.search_s': 0.5})
     with pytest.raises(LandmarkNavError, match='no landmarks: call learn_landmarks or load_map'):
         client.call('relocalize', 30.0)
-    landmarks = [client.advertise(topic) for topic in ('landmarks', 'landmarks/atlas')]
-    elsewhere = replace(small_map(), frame_id='hall')
-    for publisher, message in zip(
-        landmarks, encode.landmark_map(ros_factory, elsewhere, 1)[:2], strict=True
-    ):
-        publisher.publish(message)
+    send_map = map_sender(client)
+    send_map(replace(small_map(), frame_id='hall'))
     wrong = "landmarks dropped: it is in frame 'hall', not in frame map: set map_frame to it"
     client.wait(lambda: wrong in client.status_of(reporter).reason, 20.0, 'word of the frame')
-    cloud, atlas, _ = encode.landmark_map(ros_factory, small_map(), 1)
-    for publisher, message in zip(landmarks, (cloud, atlas), strict=True):
-        publisher.publish(message)
+    send_map(small_map())
     client.wait(lambda: 'no image' in client.status_of(reporter).reason, 20.0, 'the map to arrive')
     with pytest.raises(LandmarkNavError, match=r'within 0.5 s \(no image came\).*initialpose'):
         client.call('relocalize', 30.0)
@@ -148,10 +139,7 @@ def test_a_call_that_waits_for_a_place_is_answered_as_the_node_ends(
     parameters = {'robot_file': setup_files['robot_file'], 'relocalization.search_s': 600.0}
     node = subprocess.Popen(node_command(reporter, **parameters), env=node_environment(domain_id))
     try:
-        publishers = [client.advertise(topic) for topic in ('landmarks', 'landmarks/atlas')]
-        messages = encode.landmark_map(ros_factory, small_map(), 1)
-        for publisher, message in zip(publishers, messages, strict=False):
-            publisher.publish(message)
+        map_sender(client)(small_map())
         client.wait(
             lambda: 'no image' in client.status_of(reporter).reason, 30.0, 'the map to arrive'
         )

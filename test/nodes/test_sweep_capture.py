@@ -8,8 +8,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from rclpy.context import Context
-from rclpy.executors import SingleThreadedExecutor
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
@@ -92,28 +90,25 @@ class SmallRobot(LandmarkNode):
 
 
 @pytest.fixture
-def robot(domain_id):
-    context = Context()
-    context.init(domain_id=domain_id)
-    executor = SingleThreadedExecutor(context=context)
+def robot(graph):
+    """Make a robot, which is spun by a thread of its own."""
 
     def spin():
         try:
-            executor.spin()
+            graph.executor.spin()
         except Exception:
             # A timer may publish at the moment of the shutdown.
-            if context.ok():
+            if graph.context.ok():
                 raise
 
     def make(transport='raw', command='JointTrajectory'):
-        node = SmallRobot(transport, command, context=context)
-        executor.add_node(node)
+        node = graph.add(SmallRobot(transport, command, context=graph.context))
         thread.start()
         return node
 
     thread = Thread(target=spin)
     yield make
-    context.try_shutdown()
+    graph.context.try_shutdown()
     thread.join(5.0)
 
 

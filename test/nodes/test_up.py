@@ -22,17 +22,21 @@ NODES = [
 ]
 
 
-@pytest.fixture
-def environment(domain_id):
-    return node_environment(domain_id)
+def output_of(command, domain_id):
+    """Exit status and lines of a command that ends by itself."""
+    done = subprocess.run(
+        [*COMMAND, *command], stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+        timeout=120, env=node_environment(domain_id), check=False,
+    )  # fmt: skip
+    return done.returncode, done.stdout.strip().splitlines()
 
 
 @pytest.fixture
-def robot(environment, tmp_path):
+def robot(domain_id, tmp_path):
     with (tmp_path / 'up.log').open('wb') as log:
         process = subprocess.Popen(
             [*COMMAND, 'up', '--sim', '--map', str(tmp_path / 'map')],
-            env=environment,
+            env=node_environment(domain_id),
             stdout=log,
             stderr=log,
         )
@@ -41,42 +45,30 @@ def robot(environment, tmp_path):
     process.wait()
 
 
-def output(command, environment):
-    done = subprocess.run(
-        [*COMMAND, *command],
-        env=environment,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.STDOUT,
-        text=True,
-        timeout=120,
-        check=False,
-    )
-    return done.returncode, done.stdout
-
-
-def test_a_robot_is_brought_up_called_driven_and_ended(robot, environment, tmp_path, monkeypatch):
+def test_a_robot_is_brought_up_called_driven_and_ended(robot, domain_id, tmp_path, monkeypatch):
     monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
     deadline = time.monotonic() + 60.0
     reported: list[str] = []
     while reported != NODES and time.monotonic() < deadline:
         assert robot.poll() is None, (tmp_path / 'up.log').read_text()
-        reported = [line.split()[0] for line in status(environment) if line[0] != ' ']
+        _, lines = output_of(['status'], domain_id)
+        reported = [line.split()[0] for line in lines if line[0] != ' ']
     assert reported == NODES
 
     # No sweep was taken: refused, with a reason, in one line.
-    code, answer = output(['call', 'learn_landmarks'], environment)
-    assert code == 1
-    assert len(answer.splitlines()) == 1
+    code, lines = output_of(['call', 'learn_landmarks'], domain_id)
+    assert (code, len(lines)) == (1, 1)
 
     from landmark_nav.ros.robot_client import RobotClient
 
-    with RobotClient(int(environment['ROS_DOMAIN_ID']), drives=False) as client:
+    with RobotClient(domain_id, drives=False) as client:
         client.wait(lambda: client.odometry is not None, 30.0, 'odometry')
         keyboard, terminal = pty.openpty()
         os.set_blocking(keyboard, False)
         driver = subprocess.Popen(
-            [*COMMAND, 'drive'], env=environment, stdin=terminal, stdout=terminal, stderr=terminal
-        )
+            [*COMMAND, 'drive'], env=node_environment(domain_id), stdin=terminal, stdout=terminal,
+            stderr=terminal,
+        )  # fmt: skip
         try:
 
             def turned():
@@ -97,11 +89,6 @@ def test_a_robot_is_brought_up_called_driven_and_ended(robot, environment, tmp_p
     robot.send_signal(signal.SIGINT)
     assert robot.wait(30.0) == 130
     assert 'Traceback' not in (tmp_path / 'up.log').read_text()
-
-
-def status(environment):
-    code, printed = output(['status'], environment)
-    return printed.splitlines() if code == 0 else []
 
 
 @pytest.mark.parametrize(

@@ -1,12 +1,13 @@
 """`landmark-nav plan` as a user calls it."""
 
+from builders import walls_of
 import cv2
 import numpy as np
 import pytest
 import yaml
 
 from landmark_nav.cli.main import main
-from landmark_nav.geometry.walls import Paper, Room, Wall
+from landmark_nav.geometry.walls import Paper, Room
 from landmark_nav.planning.views import is_free
 from landmark_nav.simulation.setup_documents import robot_document, room_document
 from landmark_nav.simulation.world import DEFAULT_MOUNT
@@ -16,11 +17,7 @@ from landmark_nav.storage.setup_files import load_room
 @pytest.fixture
 def folder(tmp_path):
     """Room and robot of a user."""
-    corners = [(0.0, 0.0), (5.0, 0.0), (5.0, 4.0), (0.0, 4.0)]
-    walls = tuple(
-        Wall(name, start, end, 2.6)
-        for name, start, end in zip('senw', corners, corners[1:] + corners[:1], strict=True)
-    )
+    walls = walls_of([(0, 0), (5, 0), (5, 4), (0, 4)], 'senw', 2.6)
     papers = tuple(
         Paper(color, (x, 0.0, 1.6), 0.21, 0.297)
         for color, x in (('red', 1.4), ('green', 2.6), ('blue', 3.7))
@@ -52,7 +49,6 @@ def test_a_plan_is_written_and_drawn(folder, capsys):
     assert predicted['landmarks'] >= 3
     assert predicted['localization']['median_m'] <= predicted['localization']['p95_m']
     camera_image = cv2.imread(str(folder / 'new' / 'plan.png'))
-    assert camera_image is not None
     assert camera_image.shape[1] > camera_image.shape[0] > 300
     printed = capsys.readouterr().out
     assert 'times the error of the plan' in printed

@@ -28,8 +28,7 @@ from landmark_nav.storage.setup_files import load_robot, load_room
 @pytest.fixture(scope='module')
 def figures(recorded):
     """What `learn` and `evaluate` measure, by the names of expected.json, and the map."""
-    learned = json.loads((recorded / 'learn.json').read_text())
-    run = json.loads((recorded / 'run.json').read_text())
+    learned, run = (json.loads((recorded / f'{k}.json').read_text()) for k in ('learn', 'run'))
     return {
         'landmarks': learned['elected'],
         'walls': len(learned['landmarks_per_wall']),
@@ -89,13 +88,13 @@ def test_landmarks_lie_where_things_really_hang_or_stand(figures):
     assert min(np.linalg.norm(k.position - centers[target]) for k in landmarks) < 0.02
 
 
-def test_sigmas_of_sweeps_hold_what_is_unknown_of_the_mount(tmp_path):
+def test_sigmas_of_sweeps_hold_what_is_unknown_of_the_mount(few, tmp_path):
     mount = load_robot(BAGS / 'robot.yaml')
     (x, y, z), robot = mount.axis_xyz, tmp_path / 'robot.yaml'
     off = replace(mount, axis_xyz=(x + 0.02, y - 0.03, z), axis_rpy=(0.0, 0.0, 0.02))
     save_calibration(Calibration.of_mount(off), robot)
     files = ['--robot', robot, '--out', tmp_path / 'map', '--json', tmp_path / 'learn.json']
-    files += ['--room', BAGS / 'room.yaml']
+    files += ['--room', BAGS / 'room.yaml', *few]
     assert main([str(word) for word in ('learn', BAGS / 'learn', *files)]) == 0
     sweeps = json.loads((tmp_path / 'learn.json').read_text())['sweeps']
     assert max(sweep['error_position_m'] for sweep in sweeps) > 0.02

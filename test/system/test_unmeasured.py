@@ -88,9 +88,9 @@ def test_the_map_serves_a_drive(learned, tmp_path):
     assert run['availability'] > 0.9
 
 
-def test_papers_at_unknown_places_give_the_scale(tmp_path):
+def test_papers_at_unknown_places_give_the_scale(few, tmp_path):
     words = ['learn', str(BAGS / 'learn'), '--robot', ROBOT, '--out', str(tmp_path / 'map')]
-    words += ['--paper-size', '0.210', '0.297', '--json', str(tmp_path / 'learn.json')]
+    words += ['--paper-size', '0.210', '0.297', '--json', str(tmp_path / 'learn.json'), *few]
     assert main(words) == 0
     learned = json.loads((tmp_path / 'learn.json').read_text())
     truth = truth_of_bag(Bag(BAGS / 'learn'))

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from builders import bare_landmark, nees, pose_error
 import numpy as np
 
 from landmark_nav.calibration import Calibration, NAMES
@@ -22,7 +23,7 @@ from landmark_nav.localization.odometry.noise import (
     sensed_variances,
     slip_variance,
 )
-from landmark_nav.types import FloatArray, Landmark, LandmarkMap, PoseEstimate
+from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate
 
 NS = 10**9
 MOUNT = PanTiltMount((0.08, 0.0, 1.1))
@@ -52,18 +53,15 @@ def point_map(rng: np.random.Generator, count: int = 40, sigma_m: float = 0.002)
     y = np.choose(wall, [np.zeros(count), 4 * along, np.full(count, 4.0), 4 * along])
     z = rng.uniform(0.5, 2.0, count)
     normal = np.array([[0, 1, 0], [-1, 0, 0], [0, -1, 0], [1, 0, 0]], float)[wall]
-    landmarks = []
-    for k in range(count):
-        shared = np.zeros((3, 2))
-        shared[0, 0] = shared[1, 1] = 0.5 * sigma_m
-        covariance = sigma_m**2 * np.eye(3) + shared @ shared.T
-        landmarks.append(
-            Landmark(
-                k, np.array([x[k], y[k], z[k]]), covariance, shared, normal[k], 0.2, 0.2,
-                np.zeros((1, 1), np.uint8), np.array([3.0, 2.0, 1.1]), 0.8,
-            )
-        )  # fmt: skip
-    return LandmarkMap(tuple(landmarks))
+    shared = 0.5 * sigma_m * np.eye(3, 2)
+    given = {'shared_loading': shared, 'viewpoint': np.array([3.0, 2.0, 1.1])}
+    covariance = sigma_m**2 * np.eye(3) + shared @ shared.T
+    return LandmarkMap(
+        tuple(
+            bare_landmark(k, at, covariance, normal=normal[k], **given)
+            for k, at in enumerate(np.column_stack([x, y, z]))
+        )
+    )
 
 
 def drawn_calibration(rng: np.random.Generator, prior: Calibration) -> Calibration:
@@ -146,13 +144,10 @@ def _toward_eight(seconds: float, pose: FloatArray) -> Motion:
 def _panned(seconds: float, count: int, sigma: float) -> ImagePoints:
     """An image of a camera that looks to and fro, without its points."""
     return ImagePoints(
-        round(seconds * NS),
-        np.arange(count),
-        np.zeros((count, 2)),
+        round(seconds * NS), np.arange(count), np.zeros((count, 2)),
         np.tile(max(sigma, 1e-9) ** 2 * np.eye(2), (count, 1, 1)),
-        np.full(count, 2.0 * np.sin(0.5 * seconds)),
-        pan_rate_rad_s=np.cos(0.5 * seconds),
-    )
+        np.full(count, 2.0 * np.sin(0.5 * seconds)), pan_rate_rad_s=np.cos(0.5 * seconds),
+    )  # fmt: skip
 
 
 @dataclass
@@ -167,11 +162,7 @@ class Run:
     @property
     def nees(self) -> FloatArray:
         """Normalised squared errors, (n,)."""
-        return np.einsum(
-            'ni,ni->n',
-            self.errors,
-            np.linalg.solve(self.covariances, self.errors[..., None])[..., 0],
-        )
+        return nees(self.errors, self.covariances)
 
 
 def driven(
@@ -195,8 +186,6 @@ def driven(
             updates.append(joint.observe(changed(len(errors), event)))
         after(joint, moved)
         estimate = joint.estimate
-        error = estimate.pose - drive.poses[len(errors)]
-        error[2] = wrap_rad(error[2])
-        errors.append(error)
+        errors.append(pose_error(estimate, drive.poses[len(errors)]))
         covariances.append(estimate.covariance)
     return Run(np.array(errors), np.array(covariances), joint, updates)

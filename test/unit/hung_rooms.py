@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
+from builders import panorama_of
 import numpy as np
 from scenes import rectangle_room
 
@@ -59,13 +60,14 @@ def world_of(
 
 
 def panoramas_at(poses: FloatArray, covariance: FloatArray = PRIOR) -> list[Panorama]:
-    blank = np.zeros((4, 16, 3), np.uint8)
-    cylinder = Cylinder(16, 4, 2.5, 7.5, 2.0)
-    mask = np.ones((4, 16), bool)
+    blank, cylinder = np.zeros((4, 16, 3), np.uint8), Cylinder(16, 4, 2.5, 7.5, 2.0)
     return [
-        Panorama(k, blank, mask, cylinder, pose[:3], float(pose[3]), covariance)
+        panorama_of(
+            blank, cylinder, stamp_ns=k, center_map=pose[:3], heading_rad=float(pose[3]),
+            covariance=covariance,
+        )
         for k, pose in enumerate(poses)
-    ]
+    ]  # fmt: skip
 
 
 def measurements_of(
@@ -130,10 +132,6 @@ def given_poses(world: World, rng: np.random.Generator, factor: float = 1.0) -> 
 def total_covariance(found: Adjustment) -> FloatArray:
     loading = found.shared_loading
     return np.asarray(found.own_covariance + loading @ loading.swapaxes(-1, -2))
-
-
-def nees(error: FloatArray, covariance: FloatArray) -> FloatArray:
-    return np.einsum('ni,ni->n', error, np.linalg.solve(covariance, error[..., None])[..., 0])
 
 
 def world_hung(

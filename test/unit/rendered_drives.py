@@ -10,7 +10,6 @@ from scenes import draw_frame, rectangle_room, textured_room, true_landmark
 
 from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.geometry import se2
-from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.types import (
     CameraFrame,
@@ -30,6 +29,9 @@ SCENE = textured_room(ROOM, seed=7, feature_m=0.045)
 START = np.array([1.6, 1.4, 0.3])
 START_SIGMA = np.array([0.03, 0.03, 0.01])
 MAP_SIGMA_M = 0.003
+
+
+ACROSS = (-0.32, -0.2, -0.05, 0.08, 0.2, 0.33)
 FRAME_NS, ODOMETRY_NS = 400_000_000, 50_000_000
 
 
@@ -38,16 +40,9 @@ def known_map(rng: np.random.Generator) -> LandmarkMap:
     viewpoint = np.array([2.5, 2.2, 1.15])
     landmarks = []
     for board in SCENE.boards:
-        for place in (
-            (-0.32, 0.1),
-            (-0.2, -0.25),
-            (-0.05, 0.2),
-            (0.08, -0.2),
-            (0.2, 0.15),
-            (0.33, -0.1),
-        ):
+        for across, up in zip(ACROSS, (0.1, -0.25, 0.2, -0.2, 0.15, -0.1), strict=True):
             exact = true_landmark(
-                SCENE, len(landmarks) + 1, board, place[0] * board.width_m, place[1], viewpoint,
+                SCENE, len(landmarks) + 1, board, across * board.width_m, up, viewpoint,
                 sigma_m=MAP_SIGMA_M,
             )  # fmt: skip
             error = rng.normal(0.0, MAP_SIGMA_M, 3)
@@ -84,12 +79,6 @@ def camera_image(
     pose: FloatArray, pan: float, rng: np.random.Generator | None = None
 ) -> CameraFrame:
     return draw_frame(SCENE, LENS, MOUNT, pose, pan, rng=rng)
-
-
-def error_of(estimate: PoseEstimate, pose: FloatArray) -> FloatArray:
-    error = estimate.pose - pose
-    error[2] = wrap_rad(error[2])
-    return np.asarray(error)
 
 
 def expected(prior: PoseEstimate, sigma: float = 1e-4) -> Expectation:

@@ -10,6 +10,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
+from builders import bare_landmark, panorama_of, walls_of
 import cv2
 import numpy as np
 import numpy.typing as npt
@@ -164,12 +165,7 @@ def rectangle_room(
 ) -> Room:
     """Walls s, e, n, w of a room from (0, 0) to (width, depth)."""
     corners = [(0.0, 0.0), (width, 0.0), (width, depth), (0.0, depth)]
-    ends = corners[1:] + corners[:1]
-    walls = tuple(
-        Wall(name, start, end, height)
-        for name, start, end in zip('senw', corners, ends, strict=True)
-    )
-    return Room(walls, tuple(papers))
+    return Room(walls_of(corners, 'senw', height), tuple(papers))
 
 
 def wall_board(wall: Wall, texture: npt.NDArray[np.float32]) -> Board:
@@ -229,15 +225,10 @@ def draw_panorama(
     """Panorama with its true pose."""
     cylinder = Cylinder.with_resolution(250.0, -0.4, 0.4)
     image = with_noise(draw_cylinder(scene, cylinder, center_map, heading_rad), rng, 2.0)
-    return Panorama(
-        0,
-        image,
-        np.ones(image.shape[:2], bool),
-        cylinder,
-        np.asarray(center_map, dtype=np.float64),
-        heading_rad,
-        np.diag([0.01, 0.01, 0.01, 0.003]) ** 2 if covariance is None else covariance,
-    )
+    known = np.diag([0.01, 0.01, 0.01, 0.003]) ** 2 if covariance is None else covariance
+    center = np.asarray(center_map, dtype=np.float64)
+    given = {'center_map': center, 'heading_rad': heading_rad, 'covariance': known}
+    return panorama_of(image, cylinder, **given)
 
 
 def draw_frame(
@@ -313,7 +304,6 @@ def true_landmark(
     size_m: float = 0.32,
     texel_m: float = 0.008,
     sigma_m: float = 0.002,
-    threshold: float = 0.7,
 ) -> Landmark:
     """
     Landmark cut out of a board, `across_m` and `up_m` from its centre, as if perfectly learned.
@@ -327,18 +317,12 @@ def true_landmark(
     points = position + columns[..., None] * board.right - rows[..., None] * [0.0, 0.0, 1.0]
     offset = 0.05 * board.normal
     grey = scene.look(points + offset, np.broadcast_to(-board.normal, points.shape))[0][..., 0]
-    return Landmark(
-        id=number,
-        position=position,
-        covariance=np.eye(3) * sigma_m**2,
-        shared_loading=np.zeros((3, 1)),
-        normal=board.normal,
-        width_m=count * texel_m,
-        height_m=count * texel_m,
-        patch=with_noise(grey, None),
+    size = count * texel_m
+    return bare_landmark(
+        number, position, np.eye(3) * sigma_m**2, shared_loading=np.zeros((3, 1)),
+        normal=board.normal, width_m=size, height_m=size, patch=with_noise(grey, None),
         viewpoint=viewpoint,
-        threshold=threshold,
-    )
+    )  # fmt: skip
 
 
 def candidate_at(panorama: Panorama, point: FloatArray, size: int = 32) -> Candidate:
@@ -362,11 +346,7 @@ def texture(directions: FloatArray) -> FloatArray:
 
 
 def turn_sweep(
-    camera: CameraModel,
-    mount: PanTiltMount,
-    pans: FloatArray,
-    tilt_rad: float = 0.0,
-    roll_rad: float = 0.0,
+    camera: CameraModel, mount: PanTiltMount, pans: FloatArray, tilt_rad=0.0, roll_rad=0.0
 ) -> Sweep:
     """Frames as they look at true angles."""
     u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))

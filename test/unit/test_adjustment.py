@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from builders import nees
 from hung_rooms import (
     adjusted,
     AS_EXPECTED,
@@ -11,7 +12,6 @@ from hung_rooms import (
     CONFIG,
     given_poses,
     measurements_of,
-    nees,
     panoramas_at,
     places_of,
     POSES,

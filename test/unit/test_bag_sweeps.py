@@ -58,16 +58,8 @@ def test_sweeps_come_back_with_the_measured_pans(tmp_path):
     ('sweep', 'frames', 'words'),
     [
         # The images are 56 degrees wide and 15 apart.
-        (
-            {'keep': lambda k: k != 8},
-            23,
-            r'1 frame is missing, at pan -60 deg; their neighbours see it all',
-        ),
-        (
-            {'keep': lambda k: k not in range(8, 13)},
-            19,
-            r'at pan -60, .* deg; nothing is seen from pan -47 to -13 deg',
-        ),
+        ({'keep': lambda k: k != 8}, 23, r'missing, at pan -60 deg; their neighbours see it all'),
+        ({'keep': lambda k: k not in range(8, 13)}, 19, r'is seen from pan -47 to -13 deg'),
         # What no trajectory shows, and a joint that cannot turn fully.
         ({'pans': np.delete(full_turn(), slice(8, 14))}, 18, 'nothing is .* pan -47 to 2 deg'),
         ({'pans': np.radians(np.arange(-120, 121, 15))}, 17, 'nothing is .* pan 148 to 212 deg'),
@@ -79,36 +71,31 @@ def test_a_sweep_with_a_gap_is_used_and_the_gap_named(tmp_path, sweep, frames, w
     assert re.search(words, warnings[0])
 
 
-def without_stamp(message):
-    message.header.stamp.sec = message.header.stamp.nanosec = 0
-
-
 def at_one_time(message):
     for point in message.points:
         point.time_from_start.sec = 0
 
 
-def on_another_clock(message):
-    message.header.stamp.sec += 5000
+def stamped(sec):
+    return lambda message: vars(message.header.stamp).update(sec=sec, nanosec=0)
 
 
-def without_numbers(message):
-    for point in message.points:
-        point.positions = np.full(2, np.nan)
+def without_numbers(which):
+    def change(message):
+        for point in message.points[which]:
+            point.positions = np.array([0.1, np.inf])
 
-
-def without_one_number(message):
-    message.points[5].positions = np.array([0.1, np.inf])
+    return change
 
 
 @pytest.mark.parametrize(
     ('change', 'frames', 'words'),
     [
-        (without_stamp, 24, 'has no stamp'),
+        (stamped(0), 24, 'has no stamp'),
         (at_one_time, 24, 'two points .* time_from_start'),
-        (on_another_clock, 24, 'no image at its times'),
-        (without_numbers, 24, 'not a number'),
-        (without_one_number, 23, '1 of 24 points left out: .* not a number'),
+        (stamped(6000), 24, 'no image at its times'),
+        (without_numbers(slice(None)), 24, 'not a number'),
+        (without_numbers(slice(5, 6)), 23, '1 of 24 points left out: .* not a number'),
     ],
 )
 def test_a_trajectory_that_cannot_be_used_is_left_out(tmp_path, change, frames, words):
@@ -133,31 +120,29 @@ def test_an_image_that_does_not_decode_is_left_out_by_name(tmp_path, trajectory)
 
 
 @pytest.mark.parametrize(
-    ('sweep', 'which'),
+    ('damaged', 'which'),
     [
-        (
-            {'damaged': (5, 6, 7, 8)},
-            'image 6, at 1005.000 s, and then nothing is seen from pan -92 to -73 deg',
-        ),
-        ({'damaged': range(24)}, 'image 1, at 1000.000 s'),
+        ((5, 6, 7, 8), 'image 6, at 1005.000 s, and .* nothing is seen from pan -92 to -73 deg'),
+        (range(24), 'image 1, at 1000.000 s'),
     ],
 )
-def test_images_that_nothing_makes_up_for_are_refused_by_their_gap(tmp_path, sweep, which):
+def test_images_that_nothing_makes_up_for_are_refused_by_their_gap(tmp_path, damaged, which):
     with pytest.raises(LandmarkNavError, match=which):
-        sweeps_of(sweep_bag(tmp_path / 'learn', sweep, {}))
+        sweeps_of(sweep_bag(tmp_path / 'learn', {'damaged': damaged}, {}))
 
 
-def test_a_sweep_without_images_is_left_out(tmp_path):
-    (sweep,), warnings = sweeps_of(sweep_bag(tmp_path / 'learn', {'keep': lambda k: False}, {}))
+@pytest.mark.parametrize(
+    ('without', 'words'),
+    [
+        ({'keep': lambda k: False}, 'no image'),
+        # One that was given up.
+        ({'pans': full_turn()[:7], 'trajectory': False}, '7 frames belong to no sweep/trajectory'),
+    ],
+)
+def test_a_sweep_without_images_or_end_is_left_out(tmp_path, without, words):
+    (sweep,), warnings = sweeps_of(sweep_bag(tmp_path / 'learn', without, {}))
     assert len(sweep.frames) == 24
-    assert 'no image' in warnings[0]
-
-
-def test_a_sweep_that_was_given_up_is_left_out(tmp_path):
-    path = sweep_bag(tmp_path / 'learn', {'pans': full_turn()[:7], 'trajectory': False}, {})
-    (sweep,), warnings = sweeps_of(path)
-    assert len(sweep.frames) == 24
-    assert '7 frames belong to no sweep/trajectory' in warnings[0]
+    assert words in warnings[0]
 
 
 @pytest.mark.parametrize('comma', [',', ', '])

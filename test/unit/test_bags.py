@@ -9,6 +9,7 @@ import os
 from pathlib import Path
 import shutil
 import sqlite3
+from typing import Any
 
 from bag_writers import FACTORY, foreign_bag, MOUNT, odometry, SECOND, START, write_drive
 import lz4.frame
@@ -82,16 +83,11 @@ def mcap_file(
 ) -> Path:
     """MCAP with messages in any order, with or without an index."""
     with path.open('wb') as stream:
+        summary = ('use_statistics', 'repeat_channels', 'repeat_schemas', 'use_summary_offsets')
         writer = McapWriter(
-            stream,
-            chunk_size=chunk_size,
-            compression=compression,
+            stream, chunk_size, compression, **dict.fromkeys(summary, indexed),
             index_types=IndexType.ALL if indexed else IndexType.NONE,
-            use_statistics=indexed,
-            repeat_channels=indexed,
-            repeat_schemas=indexed,
-            use_summary_offsets=indexed,
-        )
+        )  # fmt: skip
         writer.start('ros2')
         channels: dict[str, int] = {}
         for entry in order(list(Bag(source).messages())):
@@ -113,16 +109,17 @@ def split_bag(source: Path, path: Path, parts: int = 3) -> Path:
         return lambda entries: entries[k * len(entries) // parts : (k + 1) * len(entries) // parts]
 
     files = [mcap_file(source, path / f'split_{k}.mcap', part(k)) for k in range(parts)]
-    information = {
-        'version': 9,
-        'storage_identifier': 'mcap',
-        'relative_file_paths': [file.name for file in files[::-1]],
-        'compression_format': '',
-        'compression_mode': 'NONE',
-    }
-    text = yaml.safe_dump({'rosbag2_bagfile_information': information})
-    (path / 'metadata.yaml').write_text(text)
+    write_metadata(
+        path, version=9, relative_file_paths=[file.name for file in files[::-1]],
+        compression_format='', compression_mode='NONE',
+    )  # fmt: skip
     return path
+
+
+def write_metadata(path: Path, **information: Any) -> None:
+    """`metadata.yaml` of a folder of MCAP files."""
+    document = {'rosbag2_bagfile_information': {'storage_identifier': 'mcap', **information}}
+    (path / 'metadata.yaml').write_text(yaml.safe_dump(document))
 
 
 def packed_file(source: Path, path: Path) -> Path:
@@ -222,8 +219,7 @@ def test_what_is_no_bag_is_refused_with_what_it_is(tmp_path):
     rosbag2.mkdir()
     metadata = rosbag2 / 'metadata.yaml'
     for named in (None, 'a.mcap', [], ['.'], ['..'], [7], ['gone.mcap']):
-        information = {'storage_identifier': 'mcap', 'relative_file_paths': named}
-        metadata.write_text(yaml.safe_dump({'rosbag2_bagfile_information': information}))
+        write_metadata(rosbag2, relative_file_paths=named)
         refused(rosbag2, 'which is not there')
     metadata.write_text('other: 1')
     refused(rosbag2, 'not the description')
@@ -245,11 +241,10 @@ def test_foreign_encodings_matter_only_if_they_are_asked_for(tmp_path):
 
 
 def test_types_come_from_the_bag_itself(tmp_path):
-    path = tmp_path / 'own.mcap'
-    with foreign_bag(path) as add:
-        pair = ('my_msgs/msg/Pair', 'ros2msg', b'int32 a\nint32 b\n')
+    pair = ('my_msgs/msg/Pair', 'ros2msg', b'int32 a\nint32 b\n')
+    with foreign_bag(tmp_path / 'own.mcap') as add:
         add('/pair', pair, 'cdr', [b'\0\1\0\0\7\0\0\0\x09\0\0\0'])
-    (entry,) = Bag(path).messages()
+    (entry,) = Bag(tmp_path / 'own.mcap').messages()
     assert (entry.message.a, entry.message.b) == (7, 9)
 
 
@@ -270,20 +265,17 @@ def test_nothing_half_written_is_left(tmp_path):
 
 def test_missing_ambiguous_and_wrong_topics_are_reported(tmp_path):
     with BagWriter(tmp_path / 'bag') as bag:
-        for name in ('/ground_truth/odom', '/r1/odom', '/r2/odom'):
+        for name in ('/ground_truth/odom', '/r1/odom', '/r2/odom', 'joint_states'):
             bag.write(name, odometry(START, [0, 0, 0]), START)
-        bag.write('joint_states', odometry(START, [0, 0, 0]), START)
     bag = Bag(tmp_path / 'bag')
     assert bag.find('ground_truth/odom') == '/ground_truth/odom'
-    with pytest.raises(
-        LandmarkNavError, match=r'several topics could be odom \(/r1/odom, /r2'
-    ) as reported:
-        bag.find('odom')
-    assert '--topic odom=/r1/odom' in str(reported.value)
-    with pytest.raises(LandmarkNavError, match=r'camera_info is missing.*/r1/odom \(1\)'):
-        bag.require('camera/camera_info')
-    with pytest.raises(LandmarkNavError, match='nav_msgs/msg/Odometry, not sensor_msgs'):
-        bag.find('joint_states')
+    for ask, topic, words in (
+        (bag.find, 'odom', r'several topics could be odom \(/r1/odom, /r2.*--topic odom=/r1/odom'),
+        (bag.require, 'camera/camera_info', r'camera_info is missing.*/r1/odom \(1\)'),
+        (bag.find, 'joint_states', 'nav_msgs/msg/Odometry, not sensor_msgs'),
+    ):
+        with pytest.raises(LandmarkNavError, match=words):
+            ask(topic)
 
 
 def changed(content, at, size, value):
@@ -412,7 +404,9 @@ def test_a_recording_is_the_same_in_each_form(drive, expected, tmp_path, form):
         (tmp_path / 'folder').mkdir()
         # What a file is shows in its first bytes, not in its name.
         path.rename(tmp_path / 'folder' / f'{path.name}.mcap')
-        assert 'metadata.yaml is missing' in warned(tmp_path / 'folder')
+        warnings = []
+        assert Bag(tmp_path / 'folder', warnings.append).counts['/odom'] == 40
+        assert 'metadata.yaml is missing' in ' '.join(warnings)
 
 
 def test_what_was_unpacked_is_removed_with_the_bag(drive, tmp_path, monkeypatch):
@@ -428,12 +422,6 @@ def test_what_was_unpacked_is_removed_with_the_bag(drive, tmp_path, monkeypatch)
         list(sensor_events(Bag(path), MOUNT))
     gc.collect()
     assert list((tmp_path / 'temporary').iterdir()) == []
-
-
-def warned(path):
-    warnings = []
-    assert Bag(path, warnings.append).counts['/odom'] == 40
-    return ' '.join(warnings)
 
 
 def test_chunks_that_overlap_are_not_all_held_in_memory(drive, expected, tmp_path, monkeypatch):

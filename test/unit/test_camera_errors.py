@@ -35,12 +35,9 @@ def matches():
         pans.append(pan)
     joints = np.array(pans)
     return Matches(
-        np.concatenate(before),
-        np.concatenate(after),
-        np.concatenate(pairs),
-        joints,
+        np.concatenate(before), np.concatenate(after), np.concatenate(pairs), joints,
         np.zeros_like(joints),
-    )
+    )  # fmt: skip
 
 
 def lens(**change):
@@ -66,7 +63,6 @@ def mounted(**change):
 )
 def test_an_error_of_lens_or_mount_is_recovered(matches, given, name, value):
     found = camera_error(matches, given)
-    assert found is not None
     assert found.name == name
     assert found.value == pytest.approx(value, abs=0.03)
 
@@ -106,7 +102,6 @@ def test_a_path_in_its_own_axes_passes(side_rad):
 @pytest.mark.parametrize('side_rad', [0.5 * np.pi, -0.8])
 def test_a_path_that_is_turned_is_named_and_turned_back(side_rad):
     found = check_path(stream_of(driven(side_rad)))
-    assert found is not None
     assert found.finding.values['aside_rad'] == pytest.approx(side_rad, abs=0.01)
     assert found.mended == pytest.approx(driven(), abs=0.05)
 
@@ -123,7 +118,6 @@ def test_a_mirrored_path_is_named(axes, reported):
     values = driven()
     values[:, :2] = values[:, :2] @ np.array(axes)
     found = check_path(stream_of(values))
-    assert found is not None
     assert reported in found.finding.measured
     assert found.mended == pytest.approx(driven())
 
@@ -133,7 +127,6 @@ def test_jumps_are_found_with_their_size_and_time():
     values = driven()
     values[200:, 0] += 0.8
     found = check_jumps(stream_of(values))
-    assert found is not None
     assert found.values['metres'] == pytest.approx(0.8, abs=0.05)
     assert f'{TIMES[200]:.1f} s' in found.measured
 

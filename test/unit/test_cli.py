@@ -4,6 +4,7 @@ import os
 import subprocess
 import sys
 import types
+from typing import Any
 
 import pytest
 
@@ -16,19 +17,16 @@ EVALUATE = ['evaluate', 'b', '--map', 'm', '--robot', 'r']
 
 @pytest.fixture
 def command(monkeypatch):
-    """Command `learn` replaced by one that each test gives its own `run`."""
-    module = types.ModuleType('landmark_nav.cli.learn')
+    """What command `learn` raises; it is replaced by one that does nothing else."""
+    module: Any = types.ModuleType('landmark_nav.cli.learn')
+    raised: list[BaseException] = []
 
-    module.add_arguments = lambda parser: parser.add_argument('bag')  # type: ignore[attr-defined]
-    monkeypatch.setitem(sys.modules, 'landmark_nav.cli.learn', module)
-    return module
-
-
-def failing(error):
     def run(args):
-        raise error
+        raise raised[-1]
 
-    return run
+    module.add_arguments, module.run = lambda parser: parser.add_argument('bag'), run
+    monkeypatch.setitem(sys.modules, 'landmark_nav.cli.learn', module)
+    return raised
 
 
 @pytest.mark.parametrize(
@@ -63,7 +61,7 @@ def test_wrong_usage_is_status_2(arguments, command, capsys):
     ],
 )
 def test_what_a_user_can_mend_is_one_line(error, line, command, capsys):
-    command.run = failing(error)  # type: ignore[attr-defined]
+    command.append(error)
     assert main(['learn', 'bag']) == 1
     printed = capsys.readouterr().err
     assert printed.startswith(f'landmark-nav learn: {line}')
@@ -71,10 +69,10 @@ def test_what_a_user_can_mend_is_one_line(error, line, command, capsys):
 
 
 def test_a_bug_keeps_its_traceback_and_an_interruption_its_status(command):
-    command.run = failing(ModuleNotFoundError('x', name='landmark_nav.gone'))  # type: ignore[attr-defined]
+    command.append(ModuleNotFoundError('x', name='landmark_nav.gone'))
     with pytest.raises(ModuleNotFoundError):
         main(['learn', 'bag'])
-    command.run = failing(KeyboardInterrupt())  # type: ignore[attr-defined]
+    command.append(KeyboardInterrupt())
     assert main(['learn', 'bag']) == 130
 
 
@@ -92,9 +90,7 @@ def test_a_reader_that_leaves_is_no_error():
     with subprocess.Popen(
         [sys.executable, '-c', code], stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True
     ) as process:
-        assert process.stdout is not None
         process.stdout.close()
-        assert process.stderr is not None
         assert process.stderr.read() == ''
         process.wait(timeout=20)
 

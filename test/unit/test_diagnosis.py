@@ -53,7 +53,6 @@ CAMERA = CameraModel(320, 240, 300.0, 300.0, 159.5, 119.5)
 @pytest.fixture(scope='module')
 def drive():
     """A robot that turns and pans for 30 s, things 3 m away, noise of 2 mrad."""
-    rng = np.random.default_rng(5)
     seconds = np.arange(-1.0, 32.0, 0.05)
     yaw = 0.8 * np.sin(0.31 * seconds) + 0.3 * np.sin(1.1 * seconds + 1.0)
     speed = 0.3 + 0.1 * np.sin(0.7 * seconds)
@@ -61,15 +60,10 @@ def drive():
     pan = np.sin(0.9 * seconds) + 0.5 * np.sin(2.3 * seconds)
     before = np.arange(0.0, 30.0, 0.2)
     motion = Motion(
-        before,
-        before + 0.2,
-        np.zeros(len(before)),
-        Track(seconds, pan[:, None]),
-        Track(seconds, np.stack([x, y, yaw], -1)),
-        (0.1, 0.0),
-    )
-    turns = motion.panned() + motion.yawed() + motion.parallax() @ [1.0 / 3.0, 0.0]
-    return replace(motion, turns_rad=turns + rng.normal(0.0, 0.002, len(turns)))
+        before, before + 0.2, np.zeros(len(before)), Track(seconds, pan[:, None]),
+        Track(seconds, np.stack([x, y, yaw], -1)), (0.1, 0.0),
+    )  # fmt: skip
+    return replace(motion, turns_rad=measured_anew(motion, 5))
 
 
 def track(motion, stream, change):
@@ -95,23 +89,25 @@ def test_without_a_fault_nothing_is_named(drive):
 
 def late(stream, late_s):
     """A row of the table: a stream that is late."""
-    if stream == IMAGES:
-        return (
-            stream,
-            lambda m: replace(m, before_s=m.before_s + late_s, after_s=m.after_s + late_s),
-            'clock',
-            late_s,
-            0.01,
-        )
-    seconds = lambda t: replace(t, seconds=t.seconds + late_s)  # noqa: E731
-    return stream, lambda m: track(m, stream, seconds), 'clock', late_s, 0.02
+
+    def images(m):
+        return replace(m, before_s=m.before_s + late_s, after_s=m.after_s + late_s)
+
+    def track_of(m):
+        return track(m, stream, lambda t: replace(t, seconds=t.seconds + late_s))
+
+    is_images = stream == IMAGES
+    return stream, images if is_images else track_of, 'clock', late_s, 0.01 if is_images else 0.02
 
 
 def scaled(stream, scale, tolerance):
     """A row of the table: a stream whose angles are scaled."""
     columns = scale if stream == JOINTS else [1.0, 1.0, scale]
-    values = lambda t: replace(t, values=t.values * columns)  # noqa: E731
-    return stream, lambda m: track(m, stream, values), 'scale', 1.0 / scale, tolerance
+
+    def change(m):
+        return track(m, stream, lambda t: replace(t, values=t.values * columns))
+
+    return stream, change, 'scale', 1.0 / scale, tolerance
 
 
 def fast(t):
@@ -159,7 +155,6 @@ def test_values_that_are_sent_several_times_are_seen(drive, stream):
         return replace(t, values=t.values[np.arange(len(t.values)) // 10 * 10])
 
     found = held_values(track(drive, stream, held))
-    assert found is not None
     finding, _ = found
     assert finding.name.startswith(stream)
     assert finding.values['changes_hz'] == pytest.approx(2.0, rel=0.1)
@@ -168,7 +163,6 @@ def test_values_that_are_sent_several_times_are_seen(drive, stream):
 def test_a_pan_that_is_cut_off_is_seen(drive):
     cut = track(drive, JOINTS, lambda t: replace(t, values=np.clip(t.values, -0.7, 0.9)))
     found = limited_values(cut)
-    assert found is not None
     finding, rest = found
     assert (finding.values['low_rad'], finding.values['high_rad']) == (-0.7, 0.9)
     assert explained(rest).quiet
@@ -208,11 +202,6 @@ def test_turns_are_read_off_images(turn_rad, roll_rad):
     turn, score = view.turn(*(strip_of(view, wall, pan, mount) for pan in (0.2, 0.2 + turn_rad)))
     assert turn == pytest.approx(turn_rad, abs=0.002)
     assert score > 0.6
-
-
-def stream(seconds, values):
-    stamps = np.rint(1e9 * seconds).astype(np.int64)
-    return Stream('joint_states', '/joint_states', stamps, stamps, values[:, None])
 
 
 NAMED = {name: error for errors in of_drives().values() for name, error in errors.items()}
@@ -285,9 +274,14 @@ def test_degrees_as_the_mount_of_a_camera_are_refused(tmp_path):
     assert main(['check', str(BAGS / 'drive'), '--robot', str(robot)]) == 1
 
 
+def altered(tmp_path, topic, change):
+    """The recorded drive with the messages of one topic changed."""
+    error = StreamError((topic,), change, '')
+    return write_drive(Bag(BAGS / 'drive'), tmp_path / 'drive', error)
+
+
 def test_a_bag_without_images_is_refused(tmp_path, capsys):
-    error = StreamError(('camera/image_raw/compressed',), nothing, 'images')
-    bag = write_drive(Bag(BAGS / 'drive'), tmp_path / 'drive', error)
+    bag = altered(tmp_path, 'camera/image_raw/compressed', nothing)
     assert main(['check', str(bag)]) == 1
     assert 'camera/image_raw' in capsys.readouterr().err
 
@@ -298,8 +292,7 @@ def test_odometry_may_be_of_the_footprint(frame, fits, tmp_path):
         message.child_frame_id = frame
         return message
 
-    error = StreamError(('odom',), about, 'frames')
-    bag = Bag(write_drive(Bag(BAGS / 'drive'), tmp_path / 'drive', error))
+    bag = Bag(altered(tmp_path, 'odom', about))
     mount = load_robot(BAGS / 'robot.yaml')
     found = diagnose(bag, Calibration.of_mount(mount), most_images=QUICK)
     assert [f.name for f in (*found.errors, *found.warnings)] == ([] if fits else ['frames'])
@@ -309,34 +302,33 @@ def test_odometry_may_be_of_the_footprint(frame, fits, tmp_path):
 
 
 def test_damaged_messages_are_counted(tmp_path):
-    error = StreamError(('joint_states',), each_second(no_number), 'reading')
-    bag = Bag(write_drive(Bag(BAGS / 'drive'), tmp_path / 'drive', error))
+    bag = Bag(altered(tmp_path, 'joint_states', each_second(no_number)))
     found = diagnose(bag, load_calibration(BAGS / 'robot.yaml'))
     assert 'reading' in [finding.name for finding in found.warnings]
     assert not found.errors
 
 
-def test_a_path_that_curves_is_not_laid_to_the_camera(drive):
-    assert drive.odometry is not None
+def test_a_curve_of_the_path_and_a_turn_of_the_camera_are_distinguished(drive):
     curved = replace(drive, odometry=driven_again(drive.odometry, curve_rad_m=0.15))
-    found = {f.name: f for f in motion_findings(curved, linear(curved), None)}
-    assert 'camera heading' not in found
-    assert found['odom yaw'].values['curve_rad_m'] == pytest.approx(0.15, abs=0.05)
-
-
-def test_a_camera_that_is_turned_is_not_laid_to_the_path(drive):
     turned = replace(drive, ahead_rad=-0.3)
-    found = {f.name: f for f in motion_findings(turned, linear(turned), None)}
-    assert found['camera heading'].values['heading_rad'] == pytest.approx(0.3, abs=0.06)
+    curve, turn = (
+        {f.name: f for f in motion_findings(motion, linear(motion), None)}
+        for motion in (curved, turned)
+    )
+    assert 'camera heading' not in curve
+    assert curve['odom yaw'].values['curve_rad_m'] == pytest.approx(0.15, abs=0.05)
+    assert turn['camera heading'].values['heading_rad'] == pytest.approx(0.3, abs=0.06)
+
+
+def measured_anew(motion, seed):
+    """The motion with turns of images that fit its tracks and clocks, and noise."""
+    turns = motion.panned() + motion.yawed() + motion.parallax() @ [1.0 / 3.0, 0.0]
+    return turns + np.random.default_rng(seed).normal(0.0, 0.002, len(turns))
 
 
 @pytest.mark.parametrize('seed', range(1, 6))
 def test_a_delay_is_laid_to_the_joints_where_undecided(seed, drive):
-    late = replace(drive, pan_clock=Clock(0.05))
-    turns = late.panned() + late.yawed() + late.parallax() @ [1.0 / 3.0, 0.0]
-    rng = np.random.default_rng(seed)
-    measured = replace(drive, turns_rad=turns + rng.normal(0.0, 0.002, len(turns)))
-    assert drive.odometry is not None
+    measured = replace(drive, turns_rad=measured_anew(replace(drive, pan_clock=Clock(0.05)), seed))
     for share in (1.0, 0.02):
         # With little yaw, odometry does not show whose clock is off.
         yaw = drive.odometry.values * [1.0, 1.0, share]
@@ -360,9 +352,9 @@ def test_noise_of_the_twist_is_no_other_unit(scale, level):
     assert (found.name, found.level) == ('odom twist, turn', level)
 
 
-def sweep(pushed_rad, passing=0):
+def found_in_sweep(pushed_rad, passing=0):
     """
-    Turns of a sweep of 5 deg a frame, of consecutive images and of those 2 to 8 apart.
+    Of a sweep of 5 deg a frame: consecutive images, and those 2 to 8 apart.
 
     The last `passing` images before 36 look turned from that one, as if somebody walked by.
     """
@@ -373,23 +365,19 @@ def sweep(pushed_rad, passing=0):
     turns = looks[second] - looks[first]
     turns[(first >= 36 - passing) & (second == 36)] += 0.3
     every = Motion(seconds[first], seconds[second], turns, pan, None)
-    return every.only(second == first + 1), every.only(second > first + 1)
-
-
-def found_in(one, wide):
+    one, wide = every.only(second == first + 1), every.only(second > first + 1)
     return moved_between(one, lambda: wide)
 
 
 def test_a_base_that_is_pushed_in_a_sweep_is_seen():
-    (found,) = found_in(*sweep(np.radians(8.0)))
+    (found,) = found_in_sweep(np.radians(8.0))
     assert found.values['turned_rad'] == pytest.approx(np.radians(8.0))
     assert found.values['at_s'] == 35.0
-    assert not found_in(*sweep(0.0))
 
 
-@pytest.mark.parametrize('frames', [1, 2, 3])
+@pytest.mark.parametrize('frames', range(4))
 def test_somebody_who_passes_in_a_sweep_is_no_push(frames):
-    assert not found_in(*sweep(0.0, passing=frames))
+    assert not found_in_sweep(0.0, passing=frames)
 
 
 def seen(images, sharpness=0.5):
@@ -432,7 +420,5 @@ def test_nanoseconds_of_another_unit_are_named(unit_ns, named):
 )
 def test_odometry_that_is_a_little_late_does_not_speak_for_images(odometry_s, stream, drive):
     late = replace(drive, pan_clock=Clock(0.05), odometry_clock=Clock(odometry_s))
-    turns = late.panned() + late.yawed() + late.parallax() @ [1.0 / 3.0, 0.0]
-    noise = np.random.default_rng(3).normal(0.0, 0.002, len(turns))
-    cause = verdict(replace(drive, turns_rad=turns + noise)).cause
+    cause = verdict(replace(drive, turns_rad=measured_anew(late, 3))).cause
     assert (cause.stream, cause.kind) == (stream, 'clock')

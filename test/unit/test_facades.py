@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry import se2
 from landmark_nav.learning.facades.outline import open_room, room_of
 from landmark_nav.learning.facades.planes import FacadesConfig, find_facades, SeenPoints
 
@@ -35,7 +36,7 @@ def test_outline_of_a_room_is_found(corners, seed):
     turn = rng.uniform(-np.pi, np.pi)
     stray = np.column_stack([rng.uniform(0.5, 5.5, (40, 2)), rng.uniform(0.2, 2.2, 40)])
     xyz = np.vstack([on_walls(corners, rng), stray])
-    rotation = np.array([[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]])
+    rotation = se2.rotation(turn)
     xyz[:, :2] = xyz[:, :2] @ rotation.T
     eyes = EYES.copy()
     eyes[:, :2] = np.array([[1.5, 1.5], [2.5, 1.8]]) @ rotation.T
@@ -47,21 +48,17 @@ def test_outline_of_a_room_is_found(corners, seed):
     assert away.min(0).max() < 0.03
 
 
-def test_scattered_points_make_no_facade():
-    rng = np.random.default_rng(4)
-    xyz = np.column_stack(
-        [rng.uniform(0, 6, 150), rng.uniform(0, 4, 150), rng.uniform(0.2, 2.2, 150)]
-    )
+@pytest.mark.parametrize(
+    ('seed', 'count', 'low', 'high'),
+    [
+        (4, 150, (0.0, 0.0, 0.2), (6.0, 4.0, 2.2)),
+        # Depth that is uncertain leaves a wide band, in which a blob has a line as well.
+        (9, 90, (2.0, 1.9, 0.4), (3.2, 2.2, 1.6)),
+    ],
+)
+def test_scattered_points_and_a_blob_make_no_facade(seed, count, low, high):
+    xyz = np.random.default_rng(seed).uniform(low, high, (count, 3))
     assert find_facades(seen(xyz), CONFIG) == []
-
-
-def test_a_line_through_what_lies_on_both_its_sides_is_no_facade():
-    """Depth that is uncertain leaves a wide band, in which a blob has a line as well."""
-    rng = np.random.default_rng(9)
-    blob = np.column_stack(
-        [rng.uniform(2.0, 3.2, 90), rng.uniform(1.9, 2.2, 90), rng.uniform(0.4, 1.6, 90)]
-    )
-    assert find_facades(seen(blob, 0.01), CONFIG) == []
 
 
 @pytest.mark.parametrize('depth_m', [0.14, 0.3])

@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from functools import partial
 from pathlib import Path
 
-from bare_landmarks import bare_landmark
+from builders import bare_landmark, detections_of, panorama_of
 import cv2
 import numpy as np
 import pytest
@@ -25,9 +24,7 @@ from landmark_nav.localization.localizer import LocalizationUpdate
 from landmark_nav.localization.observer import Observation
 from landmark_nav.storage.maps import write_map
 from landmark_nav.types import (
-    Detections,
     LandmarkMap,
-    Panorama,
     PoseEstimate,
     Refusal,
 )
@@ -52,40 +49,25 @@ def a_map(count=3):
 
 def a_panorama():
     """A grey one."""
-    cylinder, pixels = Cylinder(400, 80, 64.0, 199.5, 40.0), np.full((80, 400, 3), 200, np.uint8)
-    return Panorama(0, pixels, np.ones((80, 400), bool), cylinder, np.zeros(3), 0.0, np.eye(4))
+    return panorama_of(np.full((80, 400, 3), 200, np.uint8), Cylinder(400, 80, 64.0, 199.5, 40.0))
 
 
 def share_of(path, color):
     """Share of an image that has a colour; fails if it is no image."""
     camera_image = cv2.imread(str(path))
-    assert camera_image is not None
     return float(np.mean(np.all(np.abs(camera_image.astype(int) - color) < 30, axis=-1)))
 
 
-def chosen(fix):
-    return fix or Refusal('too few')
-
-
 def a_run(truth=True, fixed=True):
+    stamps, poses = np.arange(30) * 10**8, np.tile([1.0, 1.0, 0.1], (30, 1))
+    poses[:, 0] += 0.05 * np.arange(30)
     updates = []
-    for k in range(30):
-        pose = np.array([1.0 + 0.05 * k, 1.0, 0.1])
-        fused = PoseEstimate(k * 10**8, pose + 0.01, np.diag([4e-4, 1e-4, 1e-5]))
-        none = np.empty(0)
-        seen = Detections(fused.stamp_ns, np.empty(0, int), none, none, none, np.empty((0, 2)))
-        updates.append(
-            LocalizationUpdate(
-                fused.stamp_ns,
-                Observation(seen, {}, partial(chosen, fused if fixed and k % 3 else None)),
-                k % 3,
-                fused,
-                'lost' if k > 25 else 'tracking',
-                '',
-            )
-        )
-    stamps = np.arange(30) * 10**8
-    poses = np.array([[1.0 + 0.05 * k, 1.0, 0.1] for k in range(30)])
+    for k, (stamp, pose) in enumerate(zip(stamps.tolist(), poses, strict=True)):
+        fused = PoseEstimate(stamp, pose + 0.01, np.diag([4e-4, 1e-4, 1e-5]))
+        fix = fused if fixed and k % 3 else Refusal('too few')
+        seen = Observation(detections_of(stamp), {}, lambda fix=fix: fix)
+        status = 'lost' if k > 25 else 'tracking'
+        updates.append(LocalizationUpdate(stamp, seen, k % 3, fused, status, ''))
     known = PoseTrack(stamps, poses) if truth else PoseTrack.of([])
     odometry = PoseTrack(stamps, poses + 0.03)
     start = PoseEstimate(0, poses[0], np.eye(3))
@@ -105,43 +87,13 @@ def test_runs_are_drawn_whatever_is_missing(tmp_path, truth, fixed, recwarn):
 BAGS = Path(__file__).parents[2] / 'bags'
 
 
-WIDER_WALLS = rectangle_room(6.0, 4.0, ()).walls
-
-
-def view(x=2.0, y=2.0, sigma_m=1e-3, sigma_rad=1e-4):
-    return Panorama(
-        0,
-        np.full((100, 600, 3), 128, np.uint8),
-        np.ones((100, 600), np.bool_),
-        Cylinder(600, 100, 95.5, 299.5, 50.0),
-        np.array([x, y, 1.1]),
-        0.3,
-        np.diag([sigma_m, sigma_m, 1e-3, sigma_rad]) ** 2,
-    )
-
-
-def typical_map():
-    def landmark(number, position, normal, wall, saliency):
-        return bare_landmark(
-            number, np.array([*position, 1.3]), 1e-5 * np.eye(3), normal=np.array([*normal, 0.0]),
-            patch=np.full((30, 30), 90, np.uint8), wall_id=wall, saliency=saliency,
-        )  # fmt: skip
-
-    return LandmarkMap(
-        (
-            landmark(1, (2.0, 0.0), (0.0, 1.0), 'south', 0.9),
-            landmark(2, (2.6, 0.0), (0.0, 1.0), 'south', 0.8),
-            landmark(3, (6.0, 2.5), (-1.0, 0.0), 'east', 0.3),
-            landmark(4, (3.0, 4.0), (0.0, -1.0), 'north', 0.2),
-        ),
-        'map',
-        WIDER_WALLS,
-        (PoseEstimate(0, np.array([2.0, 2.0, 0.3]), 1e-6 * np.eye(3)),),
-    )
-
-
 def test_two_rays_scatter_as_predicted():
-    pair = view(1.0, 1.0), view(3.0, 1.2)
+    image, cylinder = np.zeros((100, 600, 3), np.uint8), Cylinder(600, 100, 95.5, 299.5, 50.0)
+    covariance = np.diag([1e-3, 1e-3, 1e-3, 1e-4]) ** 2
+    pair = [
+        panorama_of(image, cylinder, center_map=np.array([*xy, 1.1]), covariance=covariance)
+        for xy in ((1.0, 1.0), (3.0, 1.2))
+    ]
     point = np.array([2.2, 3.5])
     rng = np.random.default_rng(0)
     found = []
@@ -174,7 +126,7 @@ def test_all_figures_come_from_a_bag(tmp_path, capsys):
 
 def test_a_map_gives_its_observation_areas(tmp_path, capsys):
     (tmp_path / 'map').mkdir()
-    write_map(typical_map(), tmp_path / 'map')
+    write_map(a_map(), tmp_path / 'map')
     arguments = ['figures', '--out', str(tmp_path / 'out'), '--map', str(tmp_path / 'map')]
     assert main(arguments) == 0
     assert [p.name for p in (tmp_path / 'out').iterdir()] == ['figure_6_observation_areas.png']

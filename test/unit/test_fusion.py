@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+from builders import pose_error
 from drawn_drives import IMAGE_EVERY, MOUNT, NS, PERIOD_S, simulated
 import numpy as np
 import pytest
@@ -11,7 +12,7 @@ from wire import FACTORY, over_the_wire
 
 from landmark_nav.calibration import Calibration, DEFAULT_SIGMAS, LENS, NAMES
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.geometry.angles import PanTrack, wrap_rad
+from landmark_nav.geometry.angles import PanTrack
 from landmark_nav.geometry.se2 import compose
 from landmark_nav.localization.estimator.integrity import Status
 from landmark_nav.localization.fusion import Fusion
@@ -47,15 +48,10 @@ def arriving(drive, shift_ns=0):
 def seen(image, stamp_ns):
     pan, right = image.pan_rad[0] if len(image) else 0.0, image.points[:, 0]
     found = Detections(
-        stamp_ns,
-        image.columns.astype(np.int64),
-        MOUNT.azimuth_base_rad(pan) - np.arctan(right),
-        np.full(len(image), 2e-4**2),
-        np.ones(len(image)),
-        np.zeros((len(image), 2)),
-        points=image.points,
-        point_covariance=image.covariance,
-    )
+        stamp_ns, image.columns.astype(np.int64), MOUNT.azimuth_base_rad(pan) - np.arctan(right),
+        np.full(len(image), 2e-4**2), np.ones(len(image)), np.zeros((len(image), 2)),
+        points=image.points, point_covariance=image.covariance,
+    )  # fmt: skip
     return found, JointSample(stamp_ns, float(pan), 0.0, image.pan_rate_rad_s)
 
 
@@ -65,19 +61,19 @@ def fused(drive, prior=None):
     return fusion
 
 
-def take(fusion, what):
-    if isinstance(what, OdometrySample):
-        return fusion.add_odometry(what)
-    return fusion.add_detections(*what)
+def take(fusion, *arrivals):
+    """Hand over what arrives; what comes of the last."""
+    done = None
+    for what in arrivals:
+        is_odometry = isinstance(what, OdometrySample)
+        done = fusion.add_odometry(what) if is_odometry else fusion.add_detections(*what)
+    return done
 
 
 def error(fusion, drive):
     """Of the pose at the last image."""
     estimate = fusion.estimate(round(len(drive.poses) * IMAGE_EVERY * PERIOD_S * NS))
-    assert estimate is not None
-    off = estimate.pose - drive.poses[-1]
-    off[2] = wrap_rad(off[2])
-    return np.asarray(off)
+    return pose_error(estimate, drive.poses[-1])
 
 
 def test_messages_lose_nothing():
@@ -95,7 +91,6 @@ def test_messages_lose_nothing():
     assert np.abs(error(direct, drive)[:2]).max() < 0.02
     stamp = round(6.0 * NS)
     expected, sample = direct.expectation(stamp), OdometrySample(stamp, np.zeros(3), 0.3, -0.2)
-    assert expected is not None
     read, speeds = decode.expectation(
         over_the_wire(encode.expectation(FACTORY, expected, sample)), MOUNT
     )
@@ -117,7 +112,6 @@ def test_a_wrong_start_teaches_nothing():
         take(fusion, what)
         images += not isinstance(what, OdometrySample)
         now = right.estimate()
-        assert now is not None
         if images == 40 and not isinstance(what, OdometrySample):
             aside = np.array([0.8, 0.6, 0.0])
             wrong = replace(now, pose=now.pose + aside, covariance=1e-4 * np.eye(3))
@@ -152,8 +146,7 @@ def test_what_a_map_was_learned_with_is_the_prior():
 def test_a_pose_is_lost_in_a_map_that_may_have_another_frame_until_images_show_it(moved_m):
     drive = simulated(4, seconds=12.0, prior=Calibration.of_mount(MOUNT))
     fusion, arrivals = fused(drive), list(arriving(drive))
-    for what in arrivals[:150]:
-        take(fusion, what)
+    take(fusion, *arrivals[:150])
     learned = fusion.calibration
     moved = [
         replace(k, position=k.position + np.array([moved_m, 0.0, 0.0]))
@@ -162,11 +155,9 @@ def test_a_pose_is_lost_in_a_map_that_may_have_another_frame_until_images_show_i
     fusion.change_map(replace(drive.landmark_map, landmarks=tuple(moved)))
     assert fusion.status_at()[0] is Status.LOST
     assert not is_known(fusion.estimate())
-    for what in arrivals[150:]:
-        take(fusion, what)
+    take(fusion, *arrivals[150:])
     assert (fusion.status_at()[0] is Status.LOST) is (moved_m > 1.0)
     place = fusion.estimate()
-    assert place is not None
     right = PoseEstimate(
         place.stamp_ns, drive.poses[-1] + np.array([moved_m, 0.0, 0.0]), 1e-4 * np.eye(3)
     )
@@ -205,18 +196,14 @@ def test_a_start_that_is_no_pose_is_refused_and_changes_nothing():
         with pytest.raises(LandmarkNavError):
             fusion.place(wrong)
     after = fusion.estimate()
-    assert before is not None
-    assert after is not None
     assert after.pose == pytest.approx(before.pose)
 
 
 def test_the_protection_level_follows_from_the_covariance():
     drive = simulated(5, seconds=6.0)
     fusion = fused(drive)
-    for what in arriving(drive):
-        take(fusion, what)
+    take(fusion, *arriving(drive))
     estimate = fusion.estimate()
-    assert estimate is not None
     level = fusion.level(estimate)
     scaled = level.scaled(estimate).covariance
     assert np.sqrt(np.linalg.eigvalsh(scaled[:2, :2])[-1]) == pytest.approx(level.position_m)
@@ -232,8 +219,7 @@ def test_silence_is_reported():
     assert fusion.expectation(0) is None
     fusion.initialize(drive.start)
     assert 'no odometry' in fusion.status_at(2 * NS)[1]
-    for what in arriving(drive):
-        take(fusion, what)
+    take(fusion, *arriving(drive))
     assert 'no odometry' not in fusion.status_at(round(3.5 * NS))[1]
     status, reason = fusion.status_at(5 * NS)
     assert status is not Status.OK
@@ -297,18 +283,14 @@ def test_a_principal_point_that_a_driver_rounds_does_not_forget_the_lens(width, 
 def test_another_map_leaves_the_pose_and_what_was_learned():
     drive = simulated(4, seconds=12.0, prior=Calibration.of_mount(MOUNT))
     fusion, arrivals = fused(drive), list(arriving(drive))
-    for what in arrivals[:150]:
-        take(fusion, what)
+    take(fusion, *arrivals[:150])
     before, learned = fusion.estimate(), fusion.calibration
     fusion.change_map(LandmarkMap(drive.landmark_map.landmarks[::2]))
     after = fusion.estimate()
-    assert before is not None
-    assert after is not None
     assert after.pose == pytest.approx(before.pose)
     assert after.covariance == pytest.approx(before.covariance)
     assert fusion.calibration.sigmas == pytest.approx(learned.sigmas)
-    for what in arrivals[150:]:
-        take(fusion, what)
+    take(fusion, *arrivals[150:])
     assert np.abs(error(fusion, drive)[:2]).max() < 0.05
 
 
@@ -336,7 +318,6 @@ def test_a_place_found_in_a_pan_motion_has_an_uncertain_heading():
         fusion = Fusion(LandmarkMap(()), prior)
         fusion.place(start, joints)
         estimate, expected = fusion.estimate(), fusion.expectation(0)
-        assert estimate is not None
         assert expected is not None
         sigmas.append(np.sqrt(estimate.covariance[2, 2]))
     assert sigmas[0] < 0.005
@@ -352,8 +333,7 @@ def test_a_wrong_start_is_lost_for_good_and_its_calibration_forgotten(aside_m):
     off = drive.poses[0] + [aside_m, 0.0, 0.0]
     fusion.initialize(PoseEstimate(0, off, np.diag(np.square([0.05, 0.05, 0.035]))))
     given = fusion.calibration
-    for what in arriving(drive):
-        take(fusion, what)
+    take(fusion, *arriving(drive))
     wrong = aside_m > 0.5
     assert (fusion.status_at()[0] is Status.LOST) is wrong
     learned = not np.array_equal(fusion.calibration.values, given.values)

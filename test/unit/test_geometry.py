@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from builders import pose_error, walls_of
 import cv2
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -59,27 +60,24 @@ def matrix(pose):
 def differences(function, at):
     """Central differences of poses by poses, (3, 3)."""
     step = 1e-6
-    columns = []
-    for k in range(3):
-        offset = np.zeros(3)
-        offset[k] = step
-        change = function(at + offset) - function(at - offset)
-        change[2] = wrap_rad(change[2])
-        columns.append(change / (2.0 * step))
-    return np.stack(columns, -1)
+    ends = ((function(at + offset), function(at - offset)) for offset in step * np.eye(3))
+    return np.stack([pose_error(up, down) / (2.0 * step) for up, down in ends], -1)
 
 
 @given(POSES, POSES)
 def test_compose_is_the_product_of_matrices(first, second):
-    np.testing.assert_allclose(
-        matrix(se2.compose(first, second)), matrix(first) @ matrix(second), atol=1e-9
-    )
+    for found in (se2.compose(first, second), se2.compose([first], [second])[0]):
+        np.testing.assert_allclose(matrix(found), matrix(first) @ matrix(second), atol=1e-9)
 
 
 @given(POSES, POSES)
 def test_relative_undoes_compose(first, second):
-    found = se2.relative(first, se2.compose(first, second))
-    np.testing.assert_allclose(matrix(found), matrix(second), atol=1e-9)
+    whole = se2.compose(first, second)
+    for found in (se2.relative(first, whole), se2.relative([first], [whole])[0]):
+        np.testing.assert_allclose(matrix(found), matrix(second), atol=1e-9)
+    one, several = se2.inverse(first), se2.inverse([first])[0]
+    np.testing.assert_allclose(matrix(one), np.linalg.inv(matrix(first)), atol=1e-9)
+    np.testing.assert_allclose(matrix(several), matrix(one), atol=1e-9)
 
 
 @given(POSES, POSES)
@@ -140,15 +138,7 @@ def test_a_cylinder_too_large_to_hold_is_refused(px_per_rad):
 CORNERS = [(0.0, 0.0), (6.0, 0.0), (6.0, 2.0), (3.0, 2.0), (3.0, 4.0), (0.0, 4.0)]
 
 
-def outline(corners):
-    ends = corners[1:] + corners[:1]
-    return tuple(
-        Wall(str(k), start, end, 2.5)
-        for k, (start, end) in enumerate(zip(corners, ends, strict=True))
-    )
-
-
-ROOM = Room(outline(CORNERS))
+ROOM = Room(walls_of(CORNERS))
 
 
 INSIDE = st.tuples(st.floats(0.01, 2.99), st.floats(0.01, 3.99)) | st.tuples(
@@ -178,48 +168,40 @@ def test_nearest_wall_measures_to_the_segment_not_its_line():
 
 
 def test_a_room_shares_a_wall_with_itself_measured_again_and_none_with_another():
-    again = outline([(1.03 * x, 0.97 * y) for x, y in CORNERS])
+    again = walls_of([(1.03 * x, 0.97 * y) for x, y in CORNERS])
     assert ROOM.shares_wall(again, 0.3)
     assert ROOM.shares_wall([again[4]], 0.3)
     # Parallel walls from the same corner are not the same.
-    assert not ROOM.shares_wall(outline([(0.0, 0.0), (5.0, 0.0), (5.0, 3.2), (0.0, 3.2)]), 0.3)
+    assert not ROOM.shares_wall(walls_of([(0.0, 0.0), (5.0, 0.0), (5.0, 3.2), (0.0, 3.2)]), 0.3)
     assert not ROOM.shares_wall((), 0.3)
 
 
-def test_two_walls_are_no_room():
-    with pytest.raises(LandmarkNavError, match='room has 2 walls: a closed outline needs 3'):
-        Room(outline(CORNERS)[:2])
-
-
-def test_an_open_outline_names_the_wall_and_the_gap():
-    corners = outline(CORNERS)
-    moved = Wall('2', (6.0, 2.3), (3.0, 2.0), 2.5)
-    with pytest.raises(LandmarkNavError, match=r'open: wall 1 ends at \(6, 2\).*0\.3 m away'):
-        Room((*corners[:2], moved, *corners[3:]))
-
-
-def test_crossing_walls_are_named():
-    bow_tie = [(0.0, 0.0), (4.0, 3.0), (4.0, 0.0), (0.0, 3.0)]
-    with pytest.raises(LandmarkNavError, match='walls 0 and 2 cross'):
-        Room(outline(bow_tie))
-
-
-def test_walls_that_run_clockwise_are_refused():
-    with pytest.raises(LandmarkNavError, match=r'to the left.*swap start and end'):
-        Room(outline(CORNERS[::-1]))
+OUTLINE = walls_of(CORNERS)
 
 
 @pytest.mark.parametrize(
-    ('wall', 'message'),
+    ('walls', 'message'),
     [
-        (Wall('0', (0.0, float('nan')), (6.0, 0.0), 2.5), 'wall 0 has a coordinate'),
-        (Wall('0', (0.0, 0.0), (0.0, 0.0), 2.5), 'wall 0 has no length'),
-        (Wall('0', (0.0, 0.0), (6.0, 0.0), 0.0), 'no length or no height'),
+        (OUTLINE[:2], 'room has 2 walls: a closed outline needs 3'),
+        (
+            (*OUTLINE[:2], Wall('2', (6.0, 2.3), (3.0, 2.0), 2.5), *OUTLINE[3:]),
+            r'open: wall 1 ends at \(6, 2\).*0\.3 m away',
+        ),
+        (walls_of([(0, 0), (4, 3), (4, 0), (0, 3)]), 'walls 0 and 2 cross'),
+        (walls_of(CORNERS[::-1]), r'to the left.*swap start and end'),
+        *(
+            ((Wall('0', start, end, height), *OUTLINE[1:]), message)
+            for start, end, height, message in (
+                ((0.0, float('nan')), (6.0, 0.0), 2.5, 'wall 0 has a coordinate'),
+                ((0.0, 0.0), (0.0, 0.0), 2.5, 'wall 0 has no length'),
+                ((0.0, 0.0), (6.0, 0.0), 0.0, 'no length or no height'),
+            )
+        ),
     ],
 )
-def test_a_wall_that_is_none_is_refused(wall, message):
+def test_walls_that_make_no_room_are_refused(walls, message):
     with pytest.raises(LandmarkNavError, match=message):
-        Room((wall, *outline(CORNERS)[1:]))
+        Room(walls)
 
 
 BODY_FROM_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
@@ -363,20 +345,15 @@ def test_a_resized_camera_sees_the_same_rays(size):
     )
 
 
-def test_at_zero_the_camera_looks_ahead():
-    rotation, center = PanTiltMount(axis_xyz=(0.1, 0.2, 1.1)).camera_pose_base(0.0)
-    np.testing.assert_allclose(rotation @ [0, 0, 1], [1, 0, 0], atol=1e-15)  # forward
-    np.testing.assert_allclose(rotation @ [1, 0, 0], [0, -1, 0], atol=1e-15)  # image right
-    np.testing.assert_allclose(rotation @ [0, 1, 0], [0, 0, -1], atol=1e-15)  # image down
+def test_at_zero_the_camera_looks_ahead_pan_is_to_the_left_and_tilt_upwards():
+    mount = PanTiltMount(axis_xyz=(0.1, 0.2, 1.1))
+    rotation, center = mount.camera_pose_base(0.0)
+    # Image right, image down, forward.
+    np.testing.assert_allclose(rotation, BODY_FROM_OPTICAL, atol=1e-15)
     np.testing.assert_allclose(center, [0.1, 0.2, 1.1])
-
-
-def test_pan_is_to_the_left_and_tilt_upwards():
-    mount = PanTiltMount()
-    left, _ = mount.camera_pose_base(np.pi / 2)
-    np.testing.assert_allclose(left @ [0, 0, 1], [0, 1, 0], atol=1e-15)
-    up, _ = mount.camera_pose_base(0.0, np.pi / 6)
-    np.testing.assert_allclose(up @ [0, 0, 1], [np.cos(np.pi / 6), 0, 0.5], atol=1e-15)
+    (left, _), (up, _) = mount.camera_pose_base(np.pi / 2), mount.camera_pose_base(0.0, np.pi / 6)
+    np.testing.assert_allclose(left[:, 2], [0, 1, 0], atol=1e-15)
+    np.testing.assert_allclose(up[:, 2], [np.cos(np.pi / 6), 0, 0.5], atol=1e-15)
 
 
 @pytest.mark.parametrize('roll_rad', [0.0, np.pi])

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any
 import xml.etree.ElementTree as ElementTree
 
-from bare_landmarks import bare_landmark
+from builders import bare_landmark, detections_of
 import numpy as np
 import pytest
 from rosbags.interfaces import Nodetype
@@ -20,7 +20,7 @@ from landmark_nav.geometry.walls import Wall
 from landmark_nav.messages import encode
 from landmark_nav.messages.factory import default_typestore, rosbag_factory
 from landmark_nav.storage.bags.definitions import TOPIC_TYPES
-from landmark_nav.types import Detections, LandmarkMap, PoseEstimate, Triplet
+from landmark_nav.types import LandmarkMap, PoseEstimate, Triplet
 
 CONFIG = Path(__file__).resolve().parents[2] / 'config'
 TYPES = {**TOPIC_TYPES, '/diagnostics': 'diagnostic_msgs/msg/DiagnosticArray'}
@@ -185,15 +185,7 @@ def points(markers):
 
 
 def view(ids, bearings, triplet):
-    count = len(ids)
-    found = Detections(
-        POSE.stamp_ns,
-        np.array(ids),
-        np.asarray(bearings, float),
-        np.full(count, 1e-6),
-        np.full(count, 0.9),
-        np.zeros((count, 2)),
-    )
+    found = detections_of(POSE.stamp_ns, ids, bearings)
     return drawn(
         encode.view_markers(FACTORY, POSE, MAP, MOUNT, CAMERA, 0.2, found, triplet, 'map')
     )

@@ -58,8 +58,12 @@ def scene_of(room):
 SCENE = scene_of(ROOM)
 
 
-def sweep_at(pose, mount=MOUNT, known=False):
-    place = PoseEstimate(0, pose, np.diag([0.01, 0.01, 0.004]) ** 2) if known else None
+SIGMA = np.diag([0.01, 0.01, 0.004]) ** 2
+
+
+def sweep_at(pose, mount=MOUNT, known=None):
+    """Sweep at a pose; `known` is what is given of it."""
+    place = None if known is None else PoseEstimate(0, np.array(known), SIGMA)
     return replace(_drawn(tuple(pose), mount), pose_map_base=place)
 
 
@@ -144,7 +148,9 @@ def test_learning_again_gives_the_same(panoramas, learned):
 
 def test_a_place_known_from_elsewhere_needs_no_papers():
     bare = replace(ROOM, papers=())
-    panorama = panorama_from_sweep(sweep_at(POSES[0], known=True), bare, MOUNT, PanoramaStages())
+    panorama = panorama_from_sweep(
+        sweep_at(POSES[0], known=POSES[0]), bare, MOUNT, PanoramaStages()
+    )
     np.testing.assert_allclose(panorama.center_map, axis_of(POSES[0]))
     assert panorama.heading_rad == POSES[0][2]
     # The lever from the base to the pan axis carries the heading's error along.
@@ -154,18 +160,9 @@ def test_a_place_known_from_elsewhere_needs_no_papers():
 
 
 def test_a_place_that_papers_contradict_is_refused():
-    away = replace(
-        sweep_at(POSES[0]),
-        pose_map_base=PoseEstimate(
-            0, POSES[0] + [0.1, 0.0, 0.0], np.diag([0.01, 0.01, 0.004]) ** 2
-        ),
-    )
-    exact = Calibration.exact(MOUNT)
+    away, near = (sweep_at(POSES[0], known=POSES[0] + [x, 0.0, 0.0]) for x in (0.1, 0.0))
     with pytest.raises(LandmarkNavError, match=r'sweep/pose and the papers disagree by \d'):
-        panorama_from_sweep(away, ROOM, exact, PanoramaStages())
-    near = replace(
-        away, pose_map_base=PoseEstimate(0, POSES[0], np.diag([0.01, 0.01, 0.004]) ** 2)
-    )
+        panorama_from_sweep(away, ROOM, Calibration.exact(MOUNT), PanoramaStages())
     panorama_from_sweep(near, ROOM, MOUNT, PanoramaStages())
 
 
@@ -183,7 +180,6 @@ def test_height_and_tilt_by_the_papers_are_used(rise_m, lean_deg):
     assert np.abs(error[:2]).max() < 0.015
     assert abs(error[2]) < 4.0 * np.sqrt(panorama.covariance[2, 2])
     found = panorama.calibration
-    assert found is not None
     for name, angle in zip(('axis_roll', 'axis_pitch'), np.radians(lean_deg), strict=True):
         assert abs(found[name][0] - angle) < 3.5 * found[name][1]
     height = [NAMES.index(name) for name in ('axis_z', 'center_z')]
@@ -230,28 +226,31 @@ def test_poses_without_a_plan_by_a_camera_far_off_its_axis():
     assert abs(np.arctan2(cross(expected, way), expected @ way)) < np.radians(0.2)
 
 
-@pytest.mark.parametrize('off', [{'rise_m': 0.5}, {'rise_m': 0.06, 'sigma': 0.0}])
-def test_a_mount_that_is_implausible_or_contradicts_its_sigma_is_refused(off):
+@pytest.mark.parametrize(
+    ('rise_m', 'sigmas', 'words'), [(0.5, {}, ''), (0.06, dict.fromkeys(NAMES, 0.0), 'exact')]
+)
+def test_a_mount_that_is_implausible_or_contradicts_its_sigma_is_refused(rise_m, sigmas, words):
     x, y, z = MOUNT.axis_xyz
-    true = replace(MOUNT, axis_xyz=(x, y, z + off['rise_m']))
-    known = Calibration.of_mount(MOUNT)
-    if 'sigma' in off:
-        known = Calibration.of_mount(MOUNT, dict.fromkeys(NAMES, off['sigma']))
-    with pytest.raises(LandmarkNavError) as caught:
+    true, known = replace(MOUNT, axis_xyz=(x, y, z + rise_m)), Calibration.of_mount(MOUNT, sigmas)
+    with pytest.raises(LandmarkNavError, match=words) as caught:
         panorama_from_sweep(sweep_at(POSES[0], true), ROOM, known, PanoramaStages())
     assert len(str(caught.value)) < 250
-    if 'sigma' in off:
-        assert 'exact' in str(caught.value)
 
 
-def test_a_sweep_without_frames_is_refused():
+def test_too_little_to_learn_from_is_refused(panoramas):
     with pytest.raises(LandmarkNavError, match='no frames: take it again'):
         panorama_from_sweep(Sweep(0, ()), ROOM, MOUNT, PanoramaStages())
-
-
-def test_one_panorama_is_not_enough(panoramas):
-    with pytest.raises(LandmarkNavError, match=r'needs two panoramas .* not 1: take'):
-        learn_from_panoramas(panoramas[:1], ROOM, LearningConfig())
+    bare = Scene(tuple(wall_board(wall, flat_texture(GREY)) for wall in ROOM.walls))
+    rng = np.random.default_rng(1)
+    blank = [draw_panorama(bare, axis_of(pose), pose[2], rng=rng) for pose in POSES]
+    for views, words in (
+        (panoramas[:1], r'needs two panoramas .* not 1: take'),
+        ([panoramas[0]] * 2, 'all 2 panoramas are from one place'),
+        (blank, 'were found again from another place'),
+    ):
+        with pytest.raises(LandmarkNavError, match=words) as caught:
+            learn_from_panoramas(views, ROOM, LearningConfig())
+        assert '\n' not in str(caught.value)
 
 
 def test_a_room_given_too_long_is_learned_right_and_reported(panoramas, learned, caplog):
@@ -269,20 +268,6 @@ def test_a_room_given_too_long_is_learned_right_and_reported(panoramas, learned,
         assert abs(usual[name].off_m) < 4.0 * usual[name].sigma_m + 0.002
     west = [k.position[0] for k in result.map.landmarks if k.wall_id == 'w']
     assert abs(np.median(west)) < 0.01
-
-
-def test_twice_the_same_place_is_not_enough(panoramas):
-    with pytest.raises(LandmarkNavError, match='all 2 panoramas are from one place'):
-        learn_from_panoramas([panoramas[0]] * 2, ROOM, LearningConfig())
-
-
-def test_bare_walls_cannot_be_learned():
-    bare = Scene(tuple(wall_board(wall, flat_texture(GREY)) for wall in ROOM.walls))
-    rng = np.random.default_rng(1)
-    views = [draw_panorama(bare, axis_of(pose), pose[2], rng=rng) for pose in POSES]
-    with pytest.raises(LandmarkNavError, match='were found again from another place') as caught:
-        learn_from_panoramas(views, ROOM, LearningConfig())
-    assert '\n' not in str(caught.value)
 
 
 def test_walls_that_stand_elsewhere_carry_no_landmarks(panoramas):

@@ -1,5 +1,6 @@
 from dataclasses import replace
 
+from builders import random_map
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
@@ -10,51 +11,19 @@ import yaml
 from landmark_nav.calibration import Calibration, DEFAULT_SIGMAS, NAMES
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.geometry.patches import PatchView
 from landmark_nav.geometry.walls import Wall
 from landmark_nav.storage.maps import calibration_entry, load_map, save_map
-from landmark_nav.types import Landmark, LandmarkMap, PoseEstimate
+from landmark_nav.types import PoseEstimate
+
+WALLS = tuple(
+    Wall(name, (0.1, 0.2), (1 / 3, 2e-7), 2.5) for name in ('on', 'north', '1', 'östlich: «a»')
+)
 
 
 def make_map(seed=0, count=3, factors=4):
-    rng = np.random.default_rng(seed)
-
-    def covariance(size):
-        root = rng.normal(size=(size, size)) * 10.0 ** rng.uniform(-9, 0)
-        return root @ root.T
-
-    landmarks = []
-    for k in range(count):
-        angle = rng.uniform(-np.pi, np.pi)
-        patch, *others = (
-            rng.integers(0, 256, rng.integers(5, 40, 2)).astype(np.uint8)
-            for _ in range(1 + (2 - k) % 3)
-        )
-        loading = rng.normal(size=(3, factors)) * 1e-3
-        landmarks.append(
-            Landmark(
-                id=7 * k,
-                position=rng.normal(size=3) * 10.0 ** rng.uniform(-5, 5),
-                covariance=covariance(3) + loading @ loading.T,
-                shared_loading=loading,
-                normal=np.array([np.cos(angle), np.sin(angle), 0.0]),
-                width_m=float(rng.uniform(0.05, 1.0)),
-                height_m=float(rng.uniform(0.05, 1.0)),
-                patch=patch,
-                viewpoint=rng.normal(size=3),
-                threshold=float(rng.uniform(0.3, 0.95)),
-                wall_id=['north', 'on', '1', 'östlich: «a»'][k % 4],
-                saliency=float(rng.random()),
-                views=tuple(PatchView(rng.normal(size=3), other) for other in others),
-            )
-        )
-    return LandmarkMap(
-        tuple(landmarks),
-        'map',
-        (Wall('on', (0.1, 0.2), (1 / 3, 2e-7), 2.5),),
-        (PoseEstimate(1_000_000_000_123, rng.normal(size=3), covariance(3)),),
-        {'bag': 'a: b', 'rooms': '12'},
-    )
+    place = PoseEstimate(1_000_000_000_123, np.array([1.0, 2.0, 1 / 3]), 1e-7 * np.eye(3))
+    given = {'panorama_poses': (place,), 'provenance': {'bag': 'a: b', 'rooms': '12'}}
+    return random_map(seed, count, factors, WALLS, **given)
 
 
 @settings(max_examples=15)

@@ -5,7 +5,6 @@ from scenes import smooth_texture
 
 from landmark_nav.learning.stereo.wall_stereo import log_magnification, MARGIN
 from landmark_nav.matching.alignment import align, Match, match_template
-from landmark_nav.types import Refusal
 
 
 class Texture:
@@ -63,7 +62,6 @@ def test_noise_moves_matches_as_far_as_their_covariance_states(noise, shortest_p
     assert 0.75 < np.mean(nees) / 2.0 < 1.25
     for _, found in trials:
         # Another node refuses a covariance that is not.
-        assert isinstance(found, Match)
         np.testing.assert_allclose(found.covariance, found.covariance.T, rtol=1e-9)
 
 
@@ -72,8 +70,6 @@ def test_gain_and_offset_change_neither_place_nor_score():
     template, search = texture.sample(30, 30, 9.3, 11.6), texture.sample(60, 60)
     plain = match_template(search, template)
     changed = match_template(0.4 * search + 70.0, template)
-    assert isinstance(plain, Match)
-    assert isinstance(changed, Match)
     np.testing.assert_allclose(changed.xy, plain.xy, atol=2e-3)
     assert changed.score == pytest.approx(plain.score, abs=1e-3)
     assert plain.score > 0.99
@@ -96,7 +92,6 @@ _REPEATED = np.tile(Texture(8).sample(24, 30), (1, 3))
 )
 def test_a_template_without_one_clear_place_is_refused(search, template, reason):
     found = match_template(search, template)
-    assert isinstance(found, Refusal)
     assert reason in found.reason
     # Who accepts a second peak as high as the first gets the match.
     if reason == 'ambiguous':
@@ -141,7 +136,6 @@ def test_how_much_larger_a_view_shows_a_pattern_is_recovered(larger):
     for seed in range(5):
         template, found = two_views(np.random.default_rng(seed), larger)
         reported = log_magnification(template, found, 1.0)
-        assert reported is not None
         assert reported[0] == pytest.approx(np.log(larger), rel=0.05, abs=1e-3)
 
 
@@ -152,7 +146,6 @@ def test_its_sigma_is_that_of_the_noise():
         template, found = two_views(np.random.default_rng(seed), 1.02)
         found = found + rng.normal(0.0, 3.0, found.shape).astype(np.float32)
         reported = log_magnification(template, found, 1.0)
-        assert reported is not None
         normalized.append((reported[0] - np.log(1.02)) / reported[1])
     assert 0.8 < np.sqrt(np.mean(np.square(normalized))) < 1.25
 

@@ -3,6 +3,7 @@
 from copy import deepcopy
 from dataclasses import replace
 
+from builders import panorama_of, random_map, walls_of
 import numpy as np
 import pytest
 from wire import assert_same, both, FACTORY, MOUNT, over_the_wire, STAMP
@@ -11,8 +12,6 @@ from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import INTRINSICS
 from landmark_nav.geometry.cylinder import Cylinder
-from landmark_nav.geometry.patches import PatchView
-from landmark_nav.geometry.walls import Wall
 from landmark_nav.messages import decode, encode
 from landmark_nav.messages.clouds import (
     DETECTIONS,
@@ -27,10 +26,8 @@ from landmark_nav.messages.clouds import (
 from landmark_nav.types import (
     Detections,
     JointSample,
-    Landmark,
     LandmarkMap,
     OdometrySample,
-    Panorama,
     PoseEstimate,
     Triplet,
 )
@@ -47,15 +44,11 @@ def test_joints_come_back_and_foreign_joints_are_none(deliver):
 
 def some_panorama():
     rng = np.random.default_rng(3)
-    return Panorama(
-        STAMP,
-        rng.integers(0, 256, (40, 200, 3)).astype(np.uint8),
-        rng.random((40, 200)) > 0.3,
-        Cylinder(200, 40, 31.0, 99.5, 19.0),
-        np.array([1.0, 2.0, 1.1]),
-        -2.0,
-        np.diag([1.0, 2.0, 3.0, 4.0]) + 0.5,
-    )
+    return panorama_of(
+        rng.integers(0, 256, (40, 200, 3)).astype(np.uint8), Cylinder(200, 40, 31.0, 99.5, 19.0),
+        stamp_ns=STAMP, mask=rng.random((40, 200)) > 0.3, center_map=np.array([1.0, 2.0, 1.1]),
+        heading_rad=-2.0, covariance=np.diag([1.0, 2.0, 3.0, 4.0]) + 0.5,
+    )  # fmt: skip
 
 
 def calibrated_panorama():
@@ -70,40 +63,8 @@ def calibrated_panorama():
 
 
 def some_map(count, factors):
-    rng = np.random.default_rng(4)
-    walls = (
-        Wall('south', (0.0, 0.0), (5.0, 0.0), 2.5),
-        Wall('ost-süd', (5.0, 0.0), (5.0, 4.0), 2.5),
-        Wall('diagonal', (5.0, 4.0), (0.0, 0.0), 2.5),
-    )
-    landmarks = []
-    for k in range(count):
-        root = rng.normal(size=(3, 3)) * 0.01
-        shared = rng.normal(size=(3, factors)) * 1e-3
-        angle = rng.random() * 6
-        landmarks.append(
-            Landmark(
-                id=3 * k + 1,
-                position=rng.normal(size=3),
-                covariance=root @ root.T + shared @ shared.T + 1e-6 * np.eye(3),
-                shared_loading=shared,
-                normal=np.array([np.cos(angle), np.sin(angle), 0.0]),
-                width_m=0.2,
-                height_m=0.3,
-                patch=rng.integers(0, 256, (20 + k, 300)).astype(np.uint8),
-                viewpoint=rng.normal(size=3),
-                threshold=0.7,
-                wall_id=walls[k % 3].id,
-                saliency=0.5,
-                views=tuple(
-                    PatchView(
-                        rng.normal(size=3), rng.integers(0, 256, (9, 8 + view)).astype(np.uint8)
-                    )
-                    for view in range(k % 3)
-                ),
-            )
-        )
-    return LandmarkMap(tuple(landmarks), 'map', walls)
+    walls = walls_of([(0, 0), (5, 0), (5, 4)], ('south', 'ost-süd', 'diagonal'))
+    return random_map(4, count, factors, walls, widest_px=300)
 
 
 def learned_map(count, factors):
@@ -195,12 +156,9 @@ def test_parts_that_do_not_belong_together_are_refused():
     atlas.header = pose.header
     with pytest.raises(LandmarkNavError, match='different maps'):
         decode.landmark_map(cloud, atlas)
-
-
-def test_a_found_place_names_landmarks():
-    head, nothing = encode.header(FACTORY, STAMP, 'map'), np.zeros(0, dtype=GLOBAL_POSE.fields)
+    nothing = np.zeros(0, dtype=GLOBAL_POSE.fields)
     with pytest.raises(LandmarkNavError, match='names no landmark'):
-        decode.global_pose(pack_cloud(FACTORY, head, nothing))
+        decode.global_pose(pack_cloud(FACTORY, pose.header, nothing))
 
 
 def test_factory_refuses_fields_that_do_not_exist():
@@ -218,12 +176,8 @@ NOT_NUMBERS = (np.nan, np.inf, -np.inf, 1e300)
 
 def described(layout, **changed):
     """Fields of a cloud as a list that `np.dtype` takes, some of them changed."""
-    fields = []
-    for name in layout.fields.names:
-        kind = changed.get(name, layout.fields[name])
-        if kind is not None:
-            fields.append((name, kind))
-    return fields
+    kinds = {name: changed.get(name, layout.fields[name]) for name in layout.fields.names}
+    return [(name, kind) for name, kind in kinds.items() if kind is not None]
 
 
 def cloud(layout, points=3, **changed):
@@ -299,12 +253,9 @@ def test_absurd_sizes_are_refused_before_memory_is_taken(layout):
 
 def values(layout, points=3, **changed):
     rows = np.zeros(points, dtype=layout.fields)
-    if 'id' in layout.fields.names:
-        rows['id'] = range(points)
-    if 'bearing_variance' in layout.fields.names:
-        rows['bearing_variance'] = 1e-5
-    for name, value in changed.items():
-        rows[name] = value
+    for name, value in ({'id': range(points), 'bearing_variance': 1e-5} | changed).items():
+        if name in layout.fields.names:
+            rows[name] = value
     return pack_cloud(FACTORY, HEAD, rows)
 
 
@@ -416,26 +367,20 @@ def landmarks(**changed):
 
 
 @pytest.mark.parametrize(
-    'changed',
+    ('name', 'wrong'),
     [
-        {'id': 4},
-        {'position': np.array([np.nan, 0.0, 0.0])},
-        {'position': np.array([1e30, 0.0, 0.0])},
-        {'normal': np.zeros(3)},
-        {'normal': np.array([0.0, 0.0, 1.0])},
-        {'width_m': -1.0},
-        {'width_m': 1e6},
-        {'height_m': 0.0},
-        {'threshold': np.nan},
-        {'covariance': -np.eye(3)},
-        {'covariance': 1e-12 * np.eye(3)},
-        {'shared_loading': np.full((3, 2), 1e200)},
+        ('id', 7),
+        *(('position', np.array([x, 0.0, 0.0])) for x in (np.nan, 1e30)),
+        *(('normal', np.array([0.0, 0.0, z])) for z in (0.0, 1.0)),
+        *(('width_m', -1.0), ('width_m', 1e6), ('height_m', 0.0), ('threshold', np.nan)),
+        *(('covariance', -np.eye(3)), ('covariance', 1e-12 * np.eye(3))),
+        ('shared_loading', np.full((3, 2), 1e200)),
     ],
 )
-def test_a_landmark_that_can_not_be_is_refused(changed):
+def test_a_landmark_that_can_not_be_is_refused(name, wrong):
     decode.landmark_map(*landmarks())
     with pytest.raises(LandmarkNavError) as refused:
-        decode.landmark_map(*landmarks(**changed))
+        decode.landmark_map(*landmarks(**{name: wrong}))
     assert len(str(refused.value)) < 200
 
 
@@ -464,19 +409,14 @@ def test_panoramas_of_another_size_or_shape_are_refused():
     messages = encode.panorama(FACTORY, calibrated_panorama())
     decode.panorama(*messages)
     calibrated = np.array(messages[1].d)
-    for attribute, value in (
-        ('width', 2**32 - 1),
-        ('height', 2**32 - 1),
-        ('width', 0),
-        ('k', np.full(9, np.nan)),
-        ('k', np.full(9, 1e300)),
-        ('k', np.zeros(9)),
-        ('k', np.zeros(4)),
-        ('d', np.zeros(5)),
-        ('d', np.full_like(calibrated, np.nan)),
-        ('d', -abs(calibrated)),
-    ):
-        camera_image, info, pose = deepcopy(messages)
-        setattr(info, attribute, value)
-        with pytest.raises(LandmarkNavError):
-            decode.panorama(camera_image, info, pose)
+    for attribute, wrong in {
+        'width': (2**32 - 1, 0),
+        'height': (2**32 - 1,),
+        'k': (np.full(9, np.nan), np.full(9, 1e300), np.zeros(9), np.zeros(4)),
+        'd': (np.zeros(5), np.full_like(calibrated, np.nan), -abs(calibrated)),
+    }.items():
+        for value in wrong:
+            camera_image, info, pose = deepcopy(messages)
+            setattr(info, attribute, value)
+            with pytest.raises(LandmarkNavError):
+                decode.panorama(camera_image, info, pose)

@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from bare_landmarks import bare_landmark
+from builders import bare_landmark, nees, pose_error
 from drawn_drives import driven, MOUNT, NS, simulated
 from hypothesis import given
 from hypothesis import strategies as st
@@ -19,7 +19,6 @@ from landmark_nav.evaluation.metrics import (
     undetected_failures,
 )
 from landmark_nav.geometry import se2
-from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.se2 import compose
 from landmark_nav.localization.estimator.config import EstimatorConfig
@@ -137,14 +136,10 @@ PLACES = np.array([[3.0, 0.0], [0.0, 4.0], [-2.0, -1.0], [2.0, 2.0]])
 
 
 def landmarks(covariance, loading):
+    whole = covariance + loading @ loading.T
     return LandmarkMap(
         tuple(
-            bare_landmark(
-                10 * k,
-                np.array([x, y, 1.0]),
-                covariance + loading @ loading.T,
-                shared_loading=loading,
-            )
+            bare_landmark(10 * k, [x, y, 1.0], whole, shared_loading=loading)
             for k, (x, y) in enumerate(PLACES)
         )
     )
@@ -169,14 +164,8 @@ def bound_of_standing_robot(covariance, loading, lever=0.0, times=6):
     mount = PanTiltMount(axis_xyz=(lever, 0.0, 1.0), pan_sigma_rad=0.0)
     images = [image(k * SECOND, 1e-6, mount, pose) for k in range(times)]
     exact = Calibration.of_mount(mount, dict.fromkeys(NAMES, 0.0))
-    start = PoseEstimate(0, pose + 0.1, prior)
-    return (
-        pose,
-        prior,
-        posterior_bound(
-            truth, images, landmarks(covariance, loading), exact, config, start
-        ).covariances,
-    )
+    start, world = PoseEstimate(0, pose + 0.1, prior), landmarks(covariance, loading)
+    return pose, prior, posterior_bound(truth, images, world, exact, config, start).covariances
 
 
 @pytest.mark.parametrize('lever', [0.0, 0.25])
@@ -222,13 +211,8 @@ def line(drive, lost_at=-1):
             images.append(event)
     joint = JointFilter(drive.landmark_map, drive.prior, drive.start, odometry=odometry)
     smoothed = smoothed_poses(joint, track, images, np.arange(len(images)) == lost_at)
-    off = np.array([each.pose for each in smoothed]) - np.array(drive.poses)
-    off[:, 2] = wrap_rad(off[:, 2])
-    squares = [
-        error @ np.linalg.solve(each.covariance, error)
-        for error, each in zip(off, smoothed, strict=True)
-    ]
-    return off, np.array(squares)
+    off = pose_error(np.array([each.pose for each in smoothed]), drive.poses)
+    return off, nees(off, np.array([each.covariance for each in smoothed]))
 
 
 def test_what_comes_later_shows_what_was_before():

@@ -216,12 +216,9 @@ def view(wall, pan, rng, mount=LEVEL, blur=None, gain=1.0):
     x = 800.0 - 250.0 * np.arctan2(rays[..., 1], rays[..., 0])
     y = 300.0 - 250.0 * rays[..., 2] / np.hypot(rays[..., 0], rays[..., 1])
     image = cv2.remap(
-        wall,
-        x.astype(np.float32),
-        y.astype(np.float32),
-        cv2.INTER_LINEAR,
+        wall, x.astype(np.float32), y.astype(np.float32), cv2.INTER_LINEAR,
         borderMode=cv2.BORDER_WRAP,
-    )
+    )  # fmt: skip
     if blur is not None:
         image = cv2.filter2D(image, -1, blur)
     image = gain * image + rng.normal(0.0, 2.0, image.shape)

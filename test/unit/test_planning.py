@@ -3,6 +3,7 @@
 from dataclasses import replace
 from itertools import combinations
 
+from builders import panorama_of, walls_of
 import numpy as np
 import pytest
 from scenes import rectangle_room
@@ -12,7 +13,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.cylinder import Cylinder
-from landmark_nav.geometry.walls import Paper, Room, Wall
+from landmark_nav.geometry.walls import Paper, Room
 from landmark_nav.learning.adjustment.problem import AdjustmentConfig
 from landmark_nav.learning.adjustment.solution import adjust
 from landmark_nav.learning.reference_area.common_errors import (
@@ -33,7 +34,6 @@ from landmark_nav.planning.views import (
     is_free,
     PlanConfig,
 )
-from landmark_nav.types import Panorama
 
 MOUNT = PanTiltMount((0.08, 0.0, 1.1))
 # Coarser than by default: quicker.
@@ -43,22 +43,10 @@ PAPERS = tuple(
     for color, x in (('red', 1.6), ('green', 2.7), ('blue', 3.9))
 )
 ROOM = rectangle_room(5.0, 4.0, PAPERS)
-L_SHAPED = Room(
-    tuple(
-        Wall(str(k), start, end, 2.5)
-        for k, (start, end) in enumerate(
-            [
-                ((0.0, 0.0), (6.0, 0.0)),
-                ((6.0, 0.0), (6.0, 2.0)),
-                ((6.0, 2.0), (3.0, 2.0)),
-                ((3.0, 2.0), (3.0, 5.0)),
-                ((3.0, 5.0), (0.0, 5.0)),
-                ((0.0, 5.0), (0.0, 0.0)),
-            ]
-        )
-    ),
-    PAPERS,
-)
+L_SHAPED = Room(walls_of([(0, 0), (6, 0), (6, 2), (3, 2), (3, 5), (0, 5)]), PAPERS)
+
+
+HIGH = tuple(replace(paper, center=(*paper.center[:2], 3.3)) for paper in PAPERS)
 
 
 def silent(items, _what, _total):
@@ -151,16 +139,7 @@ class TestBadInput:
             (rectangle_room(5.0, 4.0, PAPERS[:2]), 2, 'names 2 reference papers'),
             (rectangle_room(5.0, 0.7, PAPERS), 2, 'too small for this clearance'),
             # The papers hang so high that no place in the room has them in its image.
-            (
-                rectangle_room(
-                    5.0,
-                    4.0,
-                    [Paper(p.color, (*p.center[:2], 3.3), p.width, p.height) for p in PAPERS],
-                    height=3.6,
-                ),
-                2,
-                '0 places on the free floor see all 3 papers',
-            ),
+            (rectangle_room(5.0, 4.0, HIGH, height=3.6), 2, '0 places .* see all 3 papers'),
         ],
     )
     def test_what_can_not_be_planned_is_one_line(self, room, count, message):
@@ -235,14 +214,13 @@ class TestPaperPose:
 
 def panoramas(poses, covariance):
     """Of x, y and heading; heights are known."""
+    image, cylinder = np.zeros((2, 2, 3), np.uint8), Cylinder(2, 2, DEFAULT.focal_px, 0.0, 0.0)
     found = []
     for pose, cov in zip(poses, covariance, strict=True):
         full = np.diag([0.0, 0.0, 1e-8, 0.0])
         full[np.ix_([0, 1, 3], [0, 1, 3])] = cov
-        image = np.zeros((2, 2, 3), np.uint8)
-        cylinder = Cylinder(2, 2, DEFAULT.focal_px, 0.0, 0.0)
-        center = np.array([*pose[:2], 1.1])
-        found.append(Panorama(0, image, image[..., 0] > 0, cylinder, center, float(pose[2]), full))
+        given = {'center_map': np.array([*pose[:2], 1.1]), 'heading_rad': float(pose[2])}
+        found.append(panorama_of(image, cylinder, covariance=full, **given))
     return found
 
 
@@ -276,14 +254,9 @@ def test_landmark_errors_are_those_of_the_adjustment():
     places = joint_covariance(views, LARGE_ROOM, DEFAULT.reference_area)
     done = adjust(measurements, list(walls), points, views, places, LARGE_ROOM, config)
     own, loading = landmark_errors(
-        azimuth,
-        np.linalg.norm(delta, axis=-1),
+        azimuth, np.linalg.norm(delta, axis=-1),
         np.full((3, 24), 1.0 / (sigma**2 + config.azimuth_sigma_rad**2)),
-        LARGE_ROOM.normals[walls, :2],
-        walls,
-        np.ones(24),
-        joined(spread, by_papers),
-        config,
-    )
+        LARGE_ROOM.normals[walls, :2], walls, np.ones(24), joined(spread, by_papers), config,
+    )  # fmt: skip
     expected = joint(done.own_covariance[:, :2, :2], done.shared_loading[:, :2])
     np.testing.assert_allclose(joint(own, loading), expected, rtol=2e-2, atol=5e-7)

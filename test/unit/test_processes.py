@@ -37,9 +37,7 @@ def test_what_waits_makes_way_for_what_is_newer():
     for number in range(1, 6):
         worker.take(number)
     go.set()
-    deadline = time.monotonic() + 5.0
-    while len(done) < 2 and time.monotonic() < deadline:
-        time.sleep(0.005)
+    wait_until(lambda: len(done) == 2)
     assert done == [0, 5]
     assert worker.dropped == 4
 
@@ -110,31 +108,30 @@ def test_afterwards_signals_are_what_they_were():
     assert asked == []
 
 
-SLEEP = [*(sys.executable, '-S', '-c'), 'import time; print("up", flush=True); time.sleep(60)']
-STUBBORN = [
-    *(sys.executable, '-S', '-c'),
-    'import signal, time\n'
-    'signal.signal(signal.SIGTERM, signal.SIG_IGN)\n'
-    'print("up", flush=True)\n'
-    'time.sleep(60)',
-]
-FAILING = [
-    *(sys.executable, '-S', '-c'),
-    'print("first", flush=True); raise SystemExit("the wheel fell off")',
-]
+def program(text):
+    return [sys.executable, '-S', '-c', textwrap.dedent(text)]
 
 
-def wait_for(log, word):
+SLEEP = program('import time; print("up", flush=True); time.sleep(60)')
+STUBBORN = program("""
+    import signal, time
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    print("up", flush=True)
+    time.sleep(60)
+""")
+FAILING = program('print("first", flush=True); raise SystemExit("the wheel fell off")')
+KILLED = program('import os, signal; os.kill(os.getpid(), signal.SIGKILL)')
+
+
+def wait_until(condition):
     deadline = time.monotonic() + 10.0
-    while word not in log.read_text():
+    while not condition():
         assert time.monotonic() < deadline
         time.sleep(0.01)
 
 
-def check_until_something_happens(supervisor):
-    for _ in range(500):
-        supervisor.check()
-        time.sleep(0.02)
+def wait_for(log, word):
+    wait_until(lambda: word in log.read_text())
 
 
 @pytest.fixture
@@ -142,25 +139,22 @@ def supervisor(tmp_path):
     return Supervisor(tmp_path, os.environ, grace_s=0.5)
 
 
-def test_a_dead_process_is_reported_with_its_last_lines(supervisor, tmp_path):
+@pytest.mark.parametrize(
+    ('command', 'words'),
+    [
+        (FAILING, r'wheel ended with exit status 1: first \| the'),
+        (KILLED, 'wheel ended with signal SIGKILL: it printed nothing'),
+    ],
+)
+def test_a_dead_process_is_reported_with_its_last_lines(supervisor, tmp_path, command, words):
     with supervisor:
         supervisor.start('sleeper', SLEEP)
         supervisor.check()
-        supervisor.start('wheel', FAILING)
-        with pytest.raises(
-            ProcessEndedError, match=r'wheel ended with exit status 1: first \| the'
-        ):
-            check_until_something_happens(supervisor)
+        supervisor.start('wheel', command)
+        with pytest.raises(ProcessEndedError, match=words):
+            wait_until(supervisor.check)
         wait_for(tmp_path / 'sleeper.log', 'up')
         assert supervisor.stop()['sleeper'] == -signal.SIGTERM
-
-
-def test_a_killed_process_is_recognised_by_its_signal(supervisor):
-    killer = 'import os, signal; os.kill(os.getpid(), signal.SIGKILL)'
-    with supervisor:
-        supervisor.start('short', [sys.executable, '-S', '-c', killer])
-        with pytest.raises(ProcessEndedError, match='signal SIGKILL: it printed nothing'):
-            check_until_something_happens(supervisor)
 
 
 def test_all_processes_end_even_if_they_ignore_signals(supervisor, tmp_path):
@@ -183,27 +177,21 @@ def is_running(process_id):
 
 @pytest.mark.skipif(shutil.which('setpriv') is None, reason='no setpriv (util-linux)')
 def test_a_killed_supervisor_leaves_no_process_behind(tmp_path):
-    conductor = (
-        'import os, signal, sys, time\n'
-        'from pathlib import Path\n'
-        'from landmark_nav.demo.supervisor import Supervisor\n'
-        f'child = Supervisor(Path({str(tmp_path)!r}), os.environ).start("sleeper", {SLEEP!r})\n'
-        'print(child.pid, flush=True)\n'
-        f'while "up" not in Path({str(tmp_path / "sleeper.log")!r}).read_text():\n'
-        '    time.sleep(0.01)\n'
-        'os.kill(os.getpid(), signal.SIGKILL)\n'
-    )
+    conductor = textwrap.dedent(f"""
+        import os, signal, time
+        from pathlib import Path
+        from landmark_nav.demo.supervisor import Supervisor
+        child = Supervisor(Path({str(tmp_path)!r}), os.environ).start("sleeper", {SLEEP!r})
+        print(child.pid, flush=True)
+        while "up" not in Path({str(tmp_path / 'sleeper.log')!r}).read_text():
+            time.sleep(0.01)
+        os.kill(os.getpid(), signal.SIGKILL)
+    """)
     killed = subprocess.run(
         [sys.executable, '-c', conductor], capture_output=True, text=True, timeout=30
     )
     assert killed.returncode == -signal.SIGKILL
-    deadline = time.monotonic() + 10.0
-    while is_running(int(killed.stdout)):
-        assert time.monotonic() < deadline
-        time.sleep(0.01)
-
-
-NUMBERS = [signal.SIGINT, signal.SIGTERM]
+    wait_until(lambda: not is_running(int(killed.stdout)))
 
 
 def heeds_signals(process):
@@ -230,21 +218,18 @@ def signalled(command, number, after_s):
 
 
 @pytest.mark.parametrize('after_s', [0.0, 0.3])
-@pytest.mark.parametrize('number', NUMBERS)
-def test_a_command_ends_quietly(number, after_s, tmp_path):
-    command = [sys.executable, '-m', 'landmark_nav', 'simulate', '--out', str(tmp_path / 'room')]
-    assert signalled(command, number, after_s) == (128 + number, '')
+@pytest.mark.parametrize('number', SIGNALS)
+@pytest.mark.parametrize(
+    ('words', 'status'), [(('', 'simulate', '--out'), 128), (('.nodes.room_simulator',), 0)]
+)
+def test_commands_and_nodes_end_quietly(words, status, number, after_s, tmp_path):
+    module, *arguments = words
+    folder = [str(tmp_path / 'room')] if arguments else []
+    command = [sys.executable, '-m', f'landmark_nav{module}', *arguments, *folder]
+    assert signalled(command, number, after_s) == (status and status + number, '')
 
 
-@pytest.mark.parametrize('after_s', [0.0, 0.3])
-@pytest.mark.parametrize('number', NUMBERS)
-def test_a_node_ends_quietly(number, after_s, tmp_path):
-    pytest.importorskip('rclpy', reason='ROS 2 is not installed')
-    command = [sys.executable, '-m', 'landmark_nav.nodes.room_simulator']
-    assert signalled(command, number, after_s) == (0, '')
-
-
-@pytest.mark.parametrize('number', NUMBERS)
+@pytest.mark.parametrize('number', SIGNALS)
 def test_work_that_is_interrupted_cleans_up(number):
     cleaned = []
 
@@ -280,7 +265,7 @@ def test_an_executable_blocks_signals_until_its_program_handles_them(tmp_path):
     program.chmod(0o755)
     shown = subprocess.run([executable, 'one', 'two three'], capture_output=True, text=True)
     blocked, arguments = shown.stdout.splitlines()
-    assert {int(number) for number in blocked.split()} >= set(NUMBERS)
+    assert {int(number) for number in blocked.split()} >= set(SIGNALS)
     assert arguments == 'one two three'
 
 
@@ -311,13 +296,13 @@ def interrupted_at_its_end(then=None):
             raise then
 
 
-@pytest.mark.parametrize('number', NUMBERS)
+@pytest.mark.parametrize('number', SIGNALS)
 def test_a_signal_in_a_destructor_is_not_lost(number):
-    handlers = [signal.getsignal(each) for each in NUMBERS]
+    handlers = [signal.getsignal(each) for each in SIGNALS]
     with pytest.raises(KeyboardInterrupt) as raised:
         interrupted(number)
     assert raised.value.args == (number,)
-    assert [signal.getsignal(each) for each in NUMBERS] == handlers
+    assert [signal.getsignal(each) for each in SIGNALS] == handlers
 
 
 def test_a_pending_signal_is_raised_at_the_end():

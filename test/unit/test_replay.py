@@ -1,6 +1,6 @@
 from dataclasses import replace
 
-from bare_landmarks import bare_landmark
+from builders import bare_landmark
 import numpy as np
 import pytest
 
@@ -36,17 +36,14 @@ def a_map():
     return LandmarkMap(
         tuple(
             bare_landmark(
-                k,
-                np.array([4.0, 0.5 * k, 1.0]),
-                1e-6 * np.eye(3),
-                shared_loading=np.full((3, 1), 1e-4),
-                normal=np.array([-1.0, 0.0, 0.0]),
+                k, np.array([4.0, 0.5 * k, 1.0]), 1e-6 * np.eye(3),
+                shared_loading=np.full((3, 1), 1e-4), normal=np.array([-1.0, 0.0, 0.0]),
                 patch=rng.integers(0, 256, (40, 40)).astype(np.uint8),
                 viewpoint=np.array([2.0, 0.5, 1.0]),
             )
             for k in range(4)
         )
-    )
+    )  # fmt: skip
 
 
 def drive(seconds=3, truth=True, scale=1.05):

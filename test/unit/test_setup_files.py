@@ -52,11 +52,8 @@ def test_robot_as_written_and_defaults(tmp_path):
     assert mount.axis_xyz == (0.1, 0, 1.1)
     assert mount.axis_rpy == (0, 0, 0.2)
     assert mount.optical_center_offset == (0.05, 0, 0.02)
-    assert (mount.base_frame, mount.pan_joint, mount.tilt_joint) == (
-        'base_link',
-        'neck',
-        'tilt_joint',
-    )
+    names = (mount.base_frame, mount.pan_joint, mount.tilt_joint)
+    assert names == ('base_link', 'neck', 'tilt_joint')
     bare = load_robot(written(tmp_path, 'pan_axis: {xyz: [0, 0, 1]}'))
     assert bare.axis_rpy == bare.optical_center_offset == (0.0, 0.0, 0.0)
     assert bare.camera_roll_rad == 0.0
@@ -194,30 +191,29 @@ def test_survives_its_file_with_what_errs_together(tmp_path, caplog):
     assert load_robot(tmp_path / 'robot.yaml').axis_xyz == pytest.approx(before.mount.axis_xyz)
 
 
+WRONG = {
+    'joint_delay': ('soon', 5.0),
+    'focal_scale': (float('nan'),),
+    'camera_tilt': (12.0,),
+    'camera_roll_sigma': (-0.1,),
+    'joint_delay_sigma': (float('inf'), [0.1, 0.2], True, None),
+    'focal_scale_sigma': (20.0,),
+    'optical_center_offset_sigma': ([0.1, 0.1], [0.1, [0.1], 0.1]),
+    'focal_scale_sigmas': (0.1,),
+    'pan_axis.xyz_sigma': (20,),
+    'pan_axis.rpy_sigma': ('x',),
+    'pan_axis.xyz_sigmas': (0.1,),
+}
+
+
 @pytest.mark.parametrize(
-    ('changes', 'reported'),
-    [
-        ({'joint_delay': 'soon'}, 'joint_delay'),
-        ({'joint_delay': 5.0}, 'joint_delay'),
-        ({'focal_scale': float('nan')}, 'focal_scale'),
-        ({'camera_tilt': 12.0}, 'camera_tilt'),
-        ({'camera_roll_sigma': -0.1}, 'camera_roll_sigma'),
-        ({'joint_delay_sigma': float('inf')}, 'joint_delay_sigma'),
-        ({'joint_delay_sigma': [0.1, 0.2]}, 'joint_delay_sigma'),
-        ({'joint_delay_sigma': True}, 'joint_delay_sigma'),
-        ({'joint_delay_sigma': None}, 'joint_delay_sigma'),
-        ({'focal_scale_sigma': 20.0}, 'focal_scale_sigma'),
-        ({'optical_center_offset_sigma': [0.1, 0.1]}, 'optical_center_offset_sigma'),
-        ({'optical_center_offset_sigma': [0.1, [0.1], 0.1]}, 'optical_center_offset_sigma'),
-        ({'pan_axis': {'xyz': [0, 0, 1], 'xyz_sigma': 20}}, 'xyz_sigma'),
-        ({'pan_axis': {'xyz': [0, 0, 1], 'rpy_sigma': 'x'}}, 'rpy_sigma'),
-        ({'pan_axis': {'xyz': [0, 0, 1], 'xyz_sigmas': 0.1}}, 'xyz_sigma'),
-        ({'focal_scale_sigmas': 0.1}, 'focal_scale_sigma'),
-    ],
+    ('name', 'value'), [(k, v) for k, values in WRONG.items() for v in values]
 )
-def test_states_which_field_is_wrong(tmp_path, changes, reported):
+def test_states_which_field_is_wrong(tmp_path, name, value):
+    section, _, field = name.rpartition('.')
+    changes = {'pan_axis': {**BARE_ROBOT['pan_axis'], field: value}} if section else {name: value}
     file = robot_file(tmp_path, {**BARE_ROBOT, **changes})
-    with pytest.raises(LandmarkNavError, match=reported) as caught:
+    with pytest.raises(LandmarkNavError, match=field.replace('sigmas', 'sigma')) as caught:
         load_calibration(file)
     assert str(file) in str(caught.value)
     assert '\n' not in str(caught.value)
@@ -236,12 +232,9 @@ def test_takes_numbers_only(degraded):
     'entries',
     [
         3,
-        [['axis_yaw', 'principal_point']],
+        *([['axis_yaw', 'principal_point', *of]] for of in ((), (1.5,), ('much',), (np.nan,))),
         [['axis_yaw', 'axis_yaw', 0.5]],
         [['axis_yaw', 'zoom', 0.5]],
-        [['axis_yaw', 'principal_point', 1.5]],
-        [['axis_yaw', 'principal_point', 'much']],
-        [['axis_yaw', 'principal_point', float('nan')]],
         [[['axis_yaw'], 'principal_point', 0.5]],
         [
             ['axis_yaw', 'principal_point', 1.0],

@@ -5,6 +5,7 @@ from __future__ import annotations
 import colorsys
 from dataclasses import replace
 
+from builders import panorama_of
 import cv2
 import numpy as np
 import pytest
@@ -27,16 +28,10 @@ from landmark_nav.learning.relative_pose.scale import (
 from landmark_nav.learning.relative_pose.sheet_tracks import FINE, sheet_misses, sheet_tracks
 from landmark_nav.learning.relative_pose.two_views import TwoViews
 from landmark_nav.learning.sheets import find_sheets, SheetsConfig, SheetView
-from landmark_nav.types import Panorama, PlaceChain
+from landmark_nav.types import PlaceChain
 
 CYLINDER = Cylinder.with_resolution(550.0, -0.4, 0.4)
 A4 = SheetsConfig(paper_width_m=0.21, paper_height_m=0.297)
-
-
-def panorama(image):
-    return Panorama(
-        0, image, np.ones(image.shape[:2], bool), CYLINDER, np.zeros(3), 0.0, np.eye(4)
-    )
 
 
 def with_sheet(texture, size, middle, slant_rad):
@@ -66,16 +61,19 @@ def with_sheet(texture, size, middle, slant_rad):
     return np.asarray(cv2.GaussianBlur(image, (0, 0), 0.7), np.uint8)
 
 
+def check_seen(image, config, kind, name, middle):
+    (seen,) = find_sheets(panorama_of(image, CYLINDER), config)
+    assert (seen.kind, seen.name) == (kind, name)
+    off = seen.position - middle
+    assert np.linalg.norm(off) < 0.03
+    assert off @ np.linalg.solve(seen.covariance, off) < 16.0
+
+
 @pytest.mark.parametrize(('slant_rad', 'azimuth'), [(0.0, 0.4), (0.8, 3.13)])
 def test_a_paper_is_found_where_it_hangs(slant_rad, azimuth):
     middle = np.array([2.6 * np.cos(azimuth), 2.6 * np.sin(azimuth), 0.35])
     paper = np.full((4, 4, 3), np.array(paper_bgr('green')), np.uint8)
-    image = with_sheet(paper, (0.21, 0.297), middle, slant_rad)
-    (seen,) = find_sheets(panorama(image), A4)
-    assert (seen.kind, seen.name) == ('papers', 'green')
-    off = seen.position - middle
-    assert np.linalg.norm(off) < 0.03
-    assert off @ np.linalg.solve(seen.covariance, off) < 16.0
+    check_seen(with_sheet(paper, (0.21, 0.297), middle, slant_rad), A4, 'papers', 'green', middle)
 
 
 @pytest.mark.parametrize(('slant_rad', 'azimuth'), [(0.2, 0.4), (-0.7, 3.13)])
@@ -88,11 +86,7 @@ def test_a_marker_is_found_with_its_number(slant_rad, azimuth):
     sheet = cv2.cvtColor(cv2.copyMakeBorder(marker, *[100] * 4, 0, value=255), cv2.COLOR_GRAY2BGR)
     middle = np.array([2.0 * np.cos(azimuth), 2.0 * np.sin(azimuth), -0.2])
     image = with_sheet(np.asarray(sheet), (0.2, 0.2), middle, slant_rad)
-    (seen,) = find_sheets(panorama(image), SheetsConfig(marker_size_m=0.15))
-    assert (seen.kind, seen.name) == ('markers', '7')
-    off = seen.position - middle
-    assert np.linalg.norm(off) < 0.03
-    assert off @ np.linalg.solve(seen.covariance, off) < 16.0
+    check_seen(image, SheetsConfig(marker_size_m=0.15), 'markers', '7', middle)
 
 
 STATES = np.array([[0.08, 0, 0, 1.1, 0, 0], [1.77, 0.64, 0.5, 1.102, 0.004, -0.003]])
@@ -142,20 +136,13 @@ def test_sheets_that_look_alike_are_distinguished_and_false_ones_left_out():
     assert lengths[0, 1] == pytest.approx(way, rel=0.01)
 
 
-def test_sheets_that_contradict_each_other_are_refused():
+def test_a_pair_whose_sheets_contradict_each_other_is_refused_unless_another_shows_some():
     rng = np.random.default_rng(2)
-    sheets = [views(state, rng)[:1] for state in STATES]
-    for seen in sheets:
-        seen.append(replace(seen[0], name='b', position=0.7 * seen[0].position))
-    with pytest.raises(LandmarkNavError, match='check the size'):
-        sheet_tracks(sheets, {(0, 1): true_pose()}, FINE)
-
-
-def test_a_pair_whose_sheets_contradict_each_other_is_left_out_if_another_pair_shows_some():
-    rng = np.random.default_rng(2)
-    sheets = [views(state, rng)[:1] for state in (STATES[0], STATES[1], STATES[0], STATES[1])]
+    sheets = [views(state, rng)[:1] for state in (*STATES, *STATES)]
     for seen in sheets[:2]:
         seen.append(replace(seen[0], name='b', position=0.7 * seen[0].position))
+    with pytest.raises(LandmarkNavError, match='check the size'):
+        sheet_tracks(sheets[:2], {(0, 1): true_pose()}, FINE)
     found = {(0, 1): true_pose(), (2, 3): true_pose()}
     assert list(sheet_tracks(sheets, found, FINE)[1]) == [(2, 3)]
 
@@ -178,16 +165,10 @@ def test_slopes_of_sheets_are_right():
     assert len(off) == 3 * len(track.views)
 
 
-@pytest.mark.parametrize(
-    ('scales', 'odd'),
-    [
-        ((1.0, 1.01, 1.4), 'c'),
-        ((1.0, 1.4, 1.01), 'b'),
-        ((1.0, 1.01, 1.02), ''),
-        ((1.0, 1.3, 1.6), ''),
-        ((1.0, 1.4), ''),
-    ],
-)
+ODD = {(1.0, 1.01, 1.4): 'c', (1.0, 1.4, 1.01): 'b', (1.0, 1.01, 1.02): '', (1.0, 1.3, 1.6): ''}
+
+
+@pytest.mark.parametrize(('scales', 'odd'), [*ODD.items(), ((1.0, 1.4), '')])
 def test_the_one_source_that_contradicts_several_is_known(scales, odd):
     assert odd_source([ScaleShare('abc'[k], s, 0.02) for k, s in enumerate(scales)]) == odd
 
@@ -292,7 +273,7 @@ def test_what_is_no_colour_is_refused(color, message):
         paper_bgr(color)
 
 
-def edges_of(image, at, blur_px, guess, side, gamma=1.0):
+def edges_of(image, at, blur_px, guess, side):
     """Offsets outwards (2, n) from the true left (side 0) or top (1) edge, and their sigmas."""
     if blur_px:
         image = cv2.GaussianBlur(image, (0, 0), blur_px)
@@ -302,7 +283,7 @@ def edges_of(image, at, blur_px, guess, side, gamma=1.0):
     across = np.full(len(along), at + guess)
     points = np.stack([across, along] if side == 0 else [along, across], -1)
     outwards = np.tile([-1.0, 0.0] if side == 0 else [0.0, -1.0], (len(along), 1))
-    found = locate_edges(decoded, points, outwards, hue_direction('red'), 7.0, gamma)
+    found = locate_edges(decoded, points, outwards, hue_direction('red'), 7.0, 1.0)
     return found.offset_px - guess, found.sigma_px
 
 

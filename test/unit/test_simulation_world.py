@@ -138,13 +138,7 @@ class TestCommand:
 
 
 DT = 1.0 / 60.0
-
-
 EXACT = DriveConfig(scale_sigma=0.0, track_sigma=0.0, slip_sigma_m=0.0, encoder_step_m=0.0)
-
-
-def drive(config, seed=0, free=lambda xy: True):
-    return DifferentialDrive(config, (1.0, 2.0, 0.5), free, np.random.default_rng(seed))
 
 
 class TestDifferentialDrive:
@@ -153,7 +147,8 @@ class TestDifferentialDrive:
         config = DriveConfig(scale_sigma=0.01, track_sigma=0.0, slip_sigma_m=0.0)
         ways = []
         for seed in range(300):
-            base = drive(config, seed)
+            rng = np.random.default_rng(seed)
+            base = DifferentialDrive(config, (1.0, 2.0, 0.5), lambda xy: True, rng)
             base.command(0.8, 0.0)
             for _ in range(25):
                 base.step(0.2)

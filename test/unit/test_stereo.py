@@ -2,7 +2,7 @@
 
 from dataclasses import replace
 
-from bare_landmarks import patch_points
+from builders import patch_points
 import numpy as np
 import pytest
 from scenes import (
@@ -18,6 +18,7 @@ from scenes import (
 )
 
 from landmark_nav.geometry import se2
+from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.learning.adjustment.depth_from_scale import depth_from_scale
 from landmark_nav.learning.adjustment.problem import AdjustmentConfig
 from landmark_nav.learning.adjustment.solution import Adjustment
@@ -85,7 +86,6 @@ def panoramas(scene):
 )
 def test_a_candidate_lies_where_its_ray_meets_the_wall(panoramas, point, wall):
     patch = patch_at(panoramas[0], np.array(point))
-    assert isinstance(patch, WallPatch)
     assert patch.wall == wall
     np.testing.assert_allclose(patch.normal, ROOM.normals[wall])
     # Within half a pixel, which is 1 to 2 cm here.
@@ -106,7 +106,6 @@ def test_a_candidate_lies_where_its_ray_meets_the_wall(panoramas, point, wall):
 )
 def test_what_is_no_patch_of_wall_is_refused(panoramas, point, reason):
     found = patch_at(panoramas[0], np.array(point))
-    assert isinstance(found, Refusal)
     assert reason in found.reason
 
 
@@ -116,32 +115,19 @@ def test_a_wall_looks_the_same_from_both_places(panoramas, scene):
     points = patch_points(point, normal, (40, 60), 0.014)
     truth, _ = scene.look(points + 0.1 * normal, np.broadcast_to(-normal, points.shape))
     for texture in (first, second):
-        assert texture is not None
         assert np.abs(texture - truth[..., 0]).mean() < 4.0
 
 
-def points_on_walls():
-    rng = np.random.default_rng(5)
-    return np.array(
-        [
-            ((6.0, rng.uniform(0.8, 4.2)), (rng.uniform(1.5, 5.0), 5.0))[k % 2]
-            + (rng.uniform(0.8, 1.4),)
-            for k in range(24)
-        ]
-    )
-
-
-def measurements_and_errors(panoramas, moved=None):
-    """Measurements in the second view, taken to be where `moved` is, and their errors (n, 2)."""
-    found, errors = [], []
-    for point in points_on_walls():
-        patch, seen = match_at([panoramas[0], moved or panoramas[1]], point)
+def measurements_and_errors(panoramas):
+    """Measurements in the second view of points on two walls, and their errors (n, 2)."""
+    found, errors, rng = [], [], np.random.default_rng(5)
+    for k in range(24):
+        xy = (6.0, rng.uniform(0.8, 4.2)) if k % 2 else (rng.uniform(1.5, 5.0), 5.0)
+        patch, seen = match_at(panoramas, np.array([*xy, rng.uniform(0.8, 1.4)]))
         if isinstance(seen, PatchMeasurement):
             truth = direction_to(panoramas[1], patch.position)
-            error = np.array([seen.azimuth_rad, seen.tangent]) - truth
-            error[0] = np.angle(np.exp(1j * error[0]))
             found.append(seen)
-            errors.append(error)
+            errors.append([wrap_rad(seen.azimuth_rad - truth[0]), seen.tangent - truth[1]])
     return found, np.array(errors)
 
 
@@ -173,7 +159,6 @@ def test_what_hangs_before_the_wall_is_found_along_the_epipolar_curve(scene, bef
     changed, center = hanging(scene, before_wall_m)
     panoramas = views_of(changed)
     patch, seen = match_at(panoramas, center)
-    assert isinstance(seen, PatchMeasurement)
     # Where the two rays meet, in plan, is the board, not the wall.
     own = own_measurement(patch, panoramas[0])
     azimuth = np.array([own.azimuth_rad + HEADINGS[0], seen.azimuth_rad + HEADINGS[1]])
@@ -185,9 +170,7 @@ def test_what_hangs_before_the_wall_is_found_along_the_epipolar_curve(scene, bef
 
 def test_what_only_one_place_sees_is_refused(scene):
     changed, center = hanging(scene, 0.8)
-    panoramas = views_of(changed, scene)
-    _, seen = match_at(panoramas, center)
-    assert isinstance(seen, Refusal)
+    _, seen = match_at(views_of(changed, scene), center)
     assert seen.reason in (
         'low correlation',
         'ambiguous',
@@ -205,7 +188,6 @@ def test_the_corner_of_furniture_at_its_wall_is_no_patch_of_it():
     face = Board(front, ROOM.normals[EAST], 1.6, 1.2, wood)
     panoramas = views_of(Scene((grey, side, face)))
     _, seen = match_at(panoramas, rear)
-    assert isinstance(seen, Refusal)
     assert seen.reason == 'not flat'
     _, seen = match_at(panoramas, rear, replace(CONFIG, max_displaced_px=100.0))
     assert isinstance(seen, PatchMeasurement)
@@ -224,7 +206,6 @@ def test_what_the_other_place_does_not_show_is_refused(panoramas, moved, reason)
     covered = np.full_like(panoramas[1].mask, bool(moved))
     other = replace(panoramas[1], mask=covered, **moved)
     _, seen = match_at([panoramas[0], other], np.array([6.0, 2.2, 1.1]))
-    assert isinstance(seen, Refusal)
     assert reason in seen.reason
 
 
@@ -271,40 +252,27 @@ def sizes_of(points, rng):
         reach = (POSES[:, :3] - point) @ EAST_WALL
         spread = np.hypot(SIZE_SIGMA, ADJUSTMENT.nearness_sigma)
         reported = float(np.log(reach[0] / reach[1]) + rng.normal(0.0, spread))
-        groups.append(
-            [
-                PatchMeasurement(0, 0.0, 0.0, 0.0, 0.0, 1.0),
-                PatchMeasurement(1, 0.0, 0.0, 1e-4, 1e-4, 0.9, reported, SIZE_SIGMA),
-            ]
-        )
+        other = PatchMeasurement(1, 0.0, 0.0, 1e-4, 1e-4, 0.9, reported, SIZE_SIGMA)
+        groups.append([PatchMeasurement(0, 0.0, 0.0, 0.0, 0.0, 1.0), other])
     return groups
 
 
 def on_the_wall(points, depth_sigma):
     """What the walls make of points: on them, and sure of it unless `depth_sigma` says more."""
-    n = len(points)
-    covariance = np.diag([depth_sigma, 1e-3, 1e-3]) ** 2
+    n, covariance = len(points), np.diag([depth_sigma, 1e-3, 1e-3]) ** 2
     return Adjustment(
-        np.column_stack([np.full(n, 6.0), points[:, 1:]]),
-        np.tile(covariance, (n, 1, 1)),
-        np.tile(np.eye(3) * 1e-3, (n, 1, 1)),
-        POSES,
-        np.tile(np.eye(4) * 1e-6, (2, 1, 1)),
-        np.zeros(n),
-        np.ones(n),
-        np.ones(8),
-    )
+        np.column_stack([np.full(n, 6.0), points[:, 1:]]), np.tile(covariance, (n, 1, 1)),
+        np.tile(np.eye(3) * 1e-3, (n, 1, 1)), POSES, np.tile(np.eye(4) * 1e-6, (2, 1, 1)),
+        np.zeros(n), np.ones(n), np.ones(8),
+    )  # fmt: skip
 
 
 def placed(points, seed=0):
     return depth_from_scale(
-        on_the_wall(points, 1e-3),
-        on_the_wall(points, 0.08),
-        sizes_of(points, np.random.default_rng(seed)),
-        np.tile(EAST_WALL, (len(points), 1)),
-        ADJUSTMENT,
-        UNCERTAIN_SIGMA_M,
-    )
+        on_the_wall(points, 1e-3), on_the_wall(points, 0.08),
+        sizes_of(points, np.random.default_rng(seed)), np.tile(EAST_WALL, (len(points), 1)),
+        ADJUSTMENT, UNCERTAIN_SIGMA_M,
+    )  # fmt: skip
 
 
 def before_wall(rng, count, before_m):

@@ -5,7 +5,7 @@ from __future__ import annotations
 from itertools import combinations
 from typing import Any
 
-from bare_landmarks import bare_landmark
+from builders import bare_landmark, walls_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 import numpy as np
@@ -13,7 +13,6 @@ import pytest
 
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.geometry.walls import Wall
 from landmark_nav.localization.triangulation.model import axis_from_base
 from landmark_nav.localization.triangulation.robust import triangulate
 from landmark_nav.localization.triplet.look_around import (
@@ -38,15 +37,7 @@ CAMERA = CameraModel(512, 512, 573.0, 573.0, 255.5, 255.5, 'plumb_bob', (-0.1, 0
 MOUNT = PanTiltMount(axis_xyz=(0.08, 0.0, 1.1))
 CONFIG = TripletConfig()
 PRIOR = PoseEstimate(42, np.array([3.0, 2.0, 0.3]), np.diag([0.01, 0.01, 0.005]) ** 2)
-ROOM = tuple(
-    Wall(name, start, end, 2.6)
-    for name, start, end in (
-        ('south', (0.0, 0.0), (WIDTH, 0.0)),
-        ('east', (WIDTH, 0.0), (WIDTH, DEPTH)),
-        ('north', (WIDTH, DEPTH), (0.0, DEPTH)),
-        ('west', (0.0, DEPTH), (0.0, 0.0)),
-    )
-)
+ROOM = walls_of([(0, 0), (WIDTH, 0), (WIDTH, DEPTH), (0, DEPTH)], height=2.6)
 
 
 def select_triplet(*given: Any, **options: Any) -> Triplet | Refusal:
@@ -55,14 +46,11 @@ def select_triplet(*given: Any, **options: Any) -> Triplet | Refusal:
 
 def landmark(k: int, xy: tuple[float, float], normal: tuple[float, float], z: float) -> Landmark:
     return bare_landmark(
-        100 + k,
-        np.array([*xy, z]),
-        np.diag([0.006, 0.006, 0.01]) ** 2,
+        100 + k, np.array([*xy, z]), np.diag([0.006, 0.006, 0.01]) ** 2,
         shared_loading=np.vstack([0.004 * np.eye(2), np.zeros((1, 2))]),
-        normal=np.array([*normal, 0.0]),
-        width_m=0.25,
+        normal=np.array([*normal, 0.0]), width_m=0.25,
         viewpoint=np.array([WIDTH / 2.0, DEPTH / 2.0, 1.1]),
-    )
+    )  # fmt: skip
 
 
 def random_map(n: int, seed: int = 0) -> LandmarkMap:
@@ -116,14 +104,16 @@ class TestSelection:
 
     def test_hysteresis(self):
         landmark_map = random_map(40)
-        first = chosen(select_triplet(PRIOR, landmark_map, CAMERA, MOUNT, CONFIG))
         moved = PoseEstimate(43, PRIOR.pose + np.array([-0.1, 0.0, 0.0]), PRIOR.covariance)
-        kept = chosen(select_triplet(moved, landmark_map, CAMERA, MOUNT, CONFIG, previous=first))
-        assert set(kept.ids) == set(first.ids)
-        fresh = chosen(select_triplet(moved, landmark_map, CAMERA, MOUNT, CONFIG))
+
+        def ids(prior, config=CONFIG, previous=None):
+            given = prior, landmark_map, CAMERA, MOUNT, config
+            return chosen(select_triplet(*given, previous=previous))
+
+        first, fresh = ids(PRIOR), ids(moved)
         assert set(fresh.ids) != set(first.ids)
-        go = TripletConfig(hysteresis=0.0)
-        changed = chosen(select_triplet(moved, landmark_map, CAMERA, MOUNT, go, previous=first))
+        assert set(ids(moved, previous=first).ids) == set(first.ids)
+        changed = ids(moved, TripletConfig(hysteresis=0.0), first)
         assert set(changed.ids) == set(fresh.ids)
 
     def test_landmarks_that_are_seldom_found_are_avoided(self):
@@ -135,31 +125,27 @@ class TestSelection:
         assert first.ids[0] not in other.ids
 
 
-class TestRefusal:
-    def test_empty_map(self):
-        found = select_triplet(PRIOR, LandmarkMap(()), CAMERA, MOUNT, CONFIG)
-        assert isinstance(found, Refusal)
-        assert 'fewer than three' in found.reason
-        view = visible_landmarks(PRIOR, LandmarkMap(()), CAMERA, MOUNT, 0.0, 0.0, CONFIG)
-        assert len(view) == 0
+SPREAD = LandmarkMap(
+    (
+        landmark(0, (WIDTH, 2.0), (-1.0, 0.0), 1.2),
+        landmark(1, (3.0, DEPTH), (0.0, -1.0), 1.2),
+        landmark(2, (0.0, 2.0), (1.0, 0.0), 1.2),
+    )
+)
 
-    def test_three_that_fit_no_view(self):
-        spread = LandmarkMap(
-            (
-                landmark(0, (WIDTH, 2.0), (-1.0, 0.0), 1.2),
-                landmark(1, (3.0, DEPTH), (0.0, -1.0), 1.2),
-                landmark(2, (0.0, 2.0), (1.0, 0.0), 1.2),
-            )
-        )
-        found = select_triplet(PRIOR, spread, CAMERA, MOUNT, CONFIG)
-        assert isinstance(found, Refusal)
-        assert 'fit one view' in found.reason
 
-    def test_a_triplet_above_the_greatest_sigma_is_refused(self):
-        strict = TripletConfig(max_sigma_m=1e-4)
-        found = select_triplet(PRIOR, random_map(40), CAMERA, MOUNT, strict)
-        assert isinstance(found, Refusal)
-        assert 'accurate enough' in found.reason
+@pytest.mark.parametrize(
+    ('landmarks', 'config', 'reason'),
+    [
+        (LandmarkMap(()), CONFIG, 'fewer than three'),
+        (SPREAD, CONFIG, 'fit one view'),
+        (random_map(40), TripletConfig(max_sigma_m=1e-4), 'accurate enough'),
+    ],
+)
+def test_no_triplet_is_refused(landmarks, config, reason):
+    assert reason in select_triplet(PRIOR, landmarks, CAMERA, MOUNT, config).reason
+    view = visible_landmarks(PRIOR, LandmarkMap(()), CAMERA, MOUNT, 0.0, 0.0, CONFIG)
+    assert len(view) == 0
 
 
 class TestGeometry:

@@ -1,7 +1,7 @@
 from dataclasses import replace
 import re
 
-from bare_landmarks import patch_points
+from builders import bare_landmark, patch_points, walls_of
 import cv2
 import numpy as np
 import pytest
@@ -10,18 +10,12 @@ from landmark_nav.cli.main import main
 from landmark_nav.cli.map import describe_comparison
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
-from landmark_nav.geometry.walls import Wall
 from landmark_nav.storage.maps import save_map
-from landmark_nav.types import Landmark, LandmarkMap, PoseEstimate
+from landmark_nav.types import LandmarkMap, PoseEstimate
 from landmark_nav.upkeep.comparison import compare_maps, problems_of_map, Texture
 from landmark_nav.upkeep.frames import align_frames, FrameAlignment, in_frame_of, merge_maps
 
-WALLS = (
-    Wall('south', (0.0, 0.0), (6.0, 0.0), 2.6),
-    Wall('east', (6.0, 0.0), (6.0, 4.0), 2.6),
-    Wall('north', (6.0, 4.0), (0.0, 4.0), 2.6),
-    Wall('west', (0.0, 4.0), (0.0, 0.0), 2.6),
-)
+WALLS = walls_of([(0, 0), (6, 0), (6, 4), (0, 4)], ('south', 'east', 'north', 'west'), 2.6)
 TEXEL_M = 0.01
 SIGMA_M = 0.004
 
@@ -47,20 +41,12 @@ def landmark(identity, true_xz, *, texel_m=TEXEL_M, error_m=(0.0, 0.0), paper=0)
         cv2.INTER_LINEAR,
     )
     loading = np.array([[1e-3, 0.0], [0.0, 1e-3], [0.0, 0.0]])
-    return Landmark(
-        id=identity,
-        position=center + np.array([-error_m[0], 0.0, -error_m[1]]),
-        covariance=np.eye(3) * SIGMA_M**2,
-        shared_loading=loading,
-        normal=normal,
-        width_m=count * texel_m,
-        height_m=count * texel_m,
-        patch=np.clip(patch, 0, 255).astype(np.uint8),
-        viewpoint=np.array([3.0, 2.0, 1.2]),
-        threshold=0.7,
-        wall_id='south',
-        saliency=0.5,
-    )
+    return bare_landmark(
+        identity, center - [error_m[0], 0.0, error_m[1]], np.eye(3) * SIGMA_M**2,
+        shared_loading=loading, normal=normal, width_m=count * texel_m, height_m=count * texel_m,
+        patch=np.clip(patch, 0, 255).astype(np.uint8), viewpoint=np.array([3.0, 2.0, 1.2]),
+        wall_id='south', saliency=0.5,
+    )  # fmt: skip
 
 
 def make_map(*landmarks, stamp_ns=1):
@@ -71,11 +57,17 @@ def make_map(*landmarks, stamp_ns=1):
 PLACES = [(1.0, 1.2), (2.0, 1.4), (3.0, 1.0), (4.0, 1.3), (5.0, 1.5)]
 
 
+def hung(count=5, stamp_ns=1, **given):
+    """Map of the first places."""
+    members = (landmark(k, place, **given) for k, place in enumerate(PLACES[:count]))
+    return make_map(*members, stamp_ns=stamp_ns)
+
+
 @pytest.mark.parametrize('texel_m', [0.008, 0.01, 0.013])
 def test_a_comparison_finds_what_the_maps_disagree_on_whatever_was_cut_out(texel_m):
     rng = np.random.default_rng(4)
     errors = rng.uniform(-0.02, 0.02, (5, 2))
-    a = make_map(*(landmark(k, place) for k, place in enumerate(PLACES)))
+    a = hung()
     b = make_map(
         *(
             landmark(k, np.add(place, rng.uniform(-0.06, 0.06, 2)), texel_m=texel_m, error_m=error)
@@ -91,7 +83,7 @@ def test_a_comparison_finds_what_the_maps_disagree_on_whatever_was_cut_out(texel
 
 
 def test_changed_landmarks_and_those_of_one_map_alone_are_distinguished():
-    a = make_map(*(landmark(k, place) for k, place in enumerate(PLACES[:4])))
+    a = hung(4)
     b = make_map(landmark(0, PLACES[0]), landmark(1, PLACES[1], paper=9), landmark(2, PLACES[4]))
     comparison = compare_maps(a, b)
     assert [p.a.id for p in comparison.of(Texture.SAME)] == [0]
@@ -107,7 +99,7 @@ def test_changed_landmarks_and_those_of_one_map_alone_are_distinguished():
 
 def test_a_merged_map_keeps_the_better_of_each_place_and_independent_errors():
     better = replace(landmark(1, PLACES[1]), covariance=np.eye(3) * 1e-6)
-    older = make_map(*(landmark(k, place) for k, place in enumerate(PLACES[:4])), stamp_ns=1)
+    older = hung(4)
     newer = make_map(
         landmark(0, PLACES[0]), better, landmark(2, PLACES[2], paper=9), landmark(3, PLACES[4]),
         stamp_ns=2,
@@ -130,18 +122,17 @@ def test_a_merged_map_keeps_the_better_of_each_place_and_independent_errors():
         (replace(make_map(stamp_ns=2), frame_id='odom'), 'frames map and odom'),
         (replace(make_map(stamp_ns=2), walls=WALLS[:3]), 'wall west is in one of the maps'),
         (
-            make_map(*(landmark(k, p, error_m=(0.04, 0.0)) for k, p in enumerate(PLACES)),
-                     stamp_ns=2),
+            hung(stamp_ns=2, error_m=(0.04, 0.0)),
             r'contradict each other: 5 of the 5 .*up to 4\.0 cm',
         ),
         (
-            make_map(*(landmark(k, p, paper=9) for k, p in enumerate(PLACES)), stamp_ns=2),
+            hung(stamp_ns=2, paper=9),
             '5 of the 5 places that both maps know look different',
         ),
     ],
 )  # fmt: skip
 def test_maps_that_do_not_belong_together_are_not_merged(newer, match):
-    older = make_map(*(landmark(k, place) for k, place in enumerate(PLACES)), stamp_ns=1)
+    older = hung()
     with pytest.raises(LandmarkNavError, match=match):
         merge_maps(older, newer)
 
@@ -163,7 +154,7 @@ def test_maps_that_do_not_belong_together_are_not_merged(newer, match):
     ],
 )
 def test_a_check_states_what_cannot_be(changes, match):
-    good = [landmark(k, place) for k, place in enumerate(PLACES)]
+    good = list(hung().landmarks)
     assert problems_of_map(make_map(*good)) == []
     good[0] = replace(good[0], **changes)
     problems = '\n'.join(problems_of_map(make_map(*good)))
@@ -173,7 +164,7 @@ def test_a_check_states_what_cannot_be(changes, match):
 
 def test_the_commands_report_it_by_their_exit_status(tmp_path, capsys):
     a, b, out = (str(tmp_path / name) for name in ('a', 'b', 'out'))
-    save_map(make_map(*(landmark(k, p) for k, p in enumerate(PLACES)), stamp_ns=1), a)
+    save_map(hung(), a)
     save_map(
         make_map(landmark(0, PLACES[0], error_m=(0.03, 0.0)),
                  *(landmark(k, p) for k, p in enumerate(PLACES) if k), stamp_ns=2), b,
@@ -248,8 +239,8 @@ def test_frames_and_metres_of_maps_are_found_by_their_landmarks():
 
 
 def test_maps_that_can_not_be_aligned_are_refused():
-    here = make_map(*(landmark(k, p) for k, p in enumerate(PLACES)))
-    foreign = make_map(*(landmark(k, p, paper=9) for k, p in enumerate(PLACES)), stamp_ns=2)
+    here = hung()
+    foreign = hung(stamp_ns=2, paper=9)
     with pytest.raises(LandmarkNavError, match='are they of one room'):
         align_frames(here, in_own_frame(foreign))
     # The same posters hang a second time, two metres on.

@@ -2,11 +2,12 @@
 
 from dataclasses import replace
 
+from builders import walls_of
 import numpy as np
 import pytest
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.geometry.walls import Room, Wall
+from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.adjustment.problem import AdjustmentConfig
 from landmark_nav.learning.adjustment.solution import Adjustment
 from landmark_nav.learning.adjustment.wall_fit import (
@@ -16,13 +17,9 @@ from landmark_nav.learning.adjustment.wall_fit import (
     WallResidual,
 )
 
-CORNERS = [(0.0, 0.0), (6.0, 0.0), (6.0, 4.0), (0.0, 4.0)]
-ROOM = Room(
-    tuple(
-        Wall(name, CORNERS[k], CORNERS[(k + 1) % 4], 2.5)
-        for k, name in enumerate(('south', 'east', 'north', 'west'))
-    )
-)
+FOOTPRINT = np.array([[0.0, 0.0], [6.0, 0.0], [6.0, 4.0], [0.0, 4.0]])
+ROOM = Room(walls_of(FOOTPRINT, ('south', 'east', 'north', 'west')))
+CONFIG = AdjustmentConfig()
 
 
 def placed(south, along, shared_m=0.001):
@@ -34,20 +31,17 @@ def placed(south, along, shared_m=0.001):
     loading[:, 1] = shared_m
     return Adjustment(
         positions=np.column_stack([x, y, np.full(count, 1.5)]),
-        own_covariance=np.tile(np.eye(3) * 0.003**2, (count, 1, 1)),
-        shared_loading=loading,
-        poses=np.zeros((2, 4)),
-        pose_covariance=np.zeros((2, 4, 4)),
-        off_wall_m=np.where(np.arange(count) < len(along), y, 4.0 - y),
-        chi_square=np.zeros(count),
+        own_covariance=np.tile(np.eye(3) * 0.003**2, (count, 1, 1)), shared_loading=loading,
+        poses=np.zeros((2, 4)), pose_covariance=np.zeros((2, 4, 4)),
+        off_wall_m=np.where(np.arange(count) < len(along), y, 4.0 - y), chi_square=np.zeros(count),
         noise=np.ones(4),
-    )
+    )  # fmt: skip
 
 
 def check(south, along, **options):
     free = placed(south, along, **options)
     walls = [0] * len(along) + [2] * 8
-    return check_walls(free, walls, ROOM, AdjustmentConfig())
+    return check_walls(free, walls, ROOM, CONFIG)
 
 
 ALONG = np.linspace(0.5, 5.5, 12)
@@ -121,7 +115,7 @@ def warning(off_cm, shared_m=0.002, hanging_m=0.001):
         WallResidual(name, 20, 5, off / 100.0, shared_m * np.eye(4)[k])
         for k, (name, off) in enumerate(zip('abcd', off_cm, strict=True))
     ]
-    return wall_warnings(walls, hanging_m, AdjustmentConfig())
+    return wall_warnings(walls, hanging_m, CONFIG)
 
 
 def test_walls_measured_with_a_tape_are_not_flagged():
@@ -137,21 +131,11 @@ def test_things_that_hang_differently_far_flag_no_wall():
     assert warning([3.0, 0.2, 1.0, 0.4])
     assert not warning([3.0, 0.2, 1.0, 0.4], hanging_m=0.03)
     assert not warning([3.0, 0.2, 1.0, 0.4], shared_m=0.02)
-    assert not wall_warnings([], 0.001, AdjustmentConfig())
-
-
-FOOTPRINT = np.array([[0.0, 0.0], [6.0, 0.0], [6.0, 4.0], [0.0, 4.0]])
-CONFIG = AdjustmentConfig()
+    assert not wall_warnings([], 0.001, CONFIG)
 
 
 def room_of(corners, sigma_m):
-    ends = np.roll(corners, -1, axis=0)
-    return Room(
-        tuple(
-            Wall(f'w{k}', tuple(start), tuple(end), 2.5, sigma_m)
-            for k, (start, end) in enumerate(zip(corners.tolist(), ends.tolist(), strict=True))
-        )
-    )
+    return Room(walls_of(corners, sigma_m=sigma_m))
 
 
 def patches(rng, outliers=3, corners=FOOTPRINT):
