@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import argparse
 from collections import defaultdict
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import redirect_stdout
 from importlib import import_module
 import io
@@ -277,13 +277,15 @@ def _range(name: str, metadata: Any) -> str:
 
 
 def _commands() -> Iterator[str]:
-    from landmark_nav.cli.main import COMMANDS
+    from landmark_nav.cli.main import actions_of, COMMANDS
 
     yield from ('# Commands', '', 'What `landmark-nav COMMAND --help` prints.')
     for name, (summary, _) in COMMANDS.items():
         yield from ('', f'## {name}', '', f'{summary[0].upper()}{summary[1:]}.', '')
         yield from ('```text', _help(name), '```')
-        for action in _subcommands(name):
+        parser = argparse.ArgumentParser()
+        import_module(f'landmark_nav.cli.{name}').add_arguments(parser)
+        for action in actions_of(parser):
             yield from ('', f'### {name} {action}', '', '```text', _help(name, action), '```')
 
 
@@ -314,14 +316,6 @@ def _help(*command: str) -> str:
     with patch.dict(os.environ, COLUMNS='99', NO_COLOR='1'), redirect_stdout(io.StringIO()) as out:
         main([*command, '--help'])
     return out.getvalue().strip()
-
-
-def _subcommands(name: str) -> Iterable[str]:
-    """Actions of a command, such as ``show`` of ``map``."""
-    parser = argparse.ArgumentParser()
-    import_module(f'landmark_nav.cli.{name}').add_arguments(parser)
-    kinds = (action for action in parser._actions if isinstance(action.choices, dict))
-    return [choice for action in kinds for choice in action.choices]
 
 
 def _names(nodes: list[str]) -> str:
