@@ -46,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         return one
 
     older, newer = 'map folder, the older one', 'map folder, the newer one'
-    action('show', _show, 'List the landmarks: where, how sure, how large.', MAP='map folder')
+    action('show', _show, 'List the landmarks: position, sigma, size.', MAP='map folder')
     text = 'Check a map: exit status 1 and a line for each problem.'
     action('check', _check, text, MAP='map folder')
     text = (
