@@ -81,6 +81,8 @@ LEARN = bags/learn
 ROBOT = bags/robot.yaml
 ROOM = bags/room.yaml
 MAP = .bags-map
+# Seconds before the faults, which the drive must outlast.
+AT = --at 2
 START = $(shell $(PYTHON) -c "import json; print(*json.load(open('bags/start.json'))['pose'])")
 endif
 
@@ -123,7 +125,7 @@ degraded: install $(MAP)
 
 # A drive with faults of odometry, joints, camera and clock.
 faults: install $(MAP)
-	$(BIN)/python test/benchmarks faults $(DRIVE) --map $(MAP) --robot $(ROBOT) --start $(START)
+	$(BIN)/python test/benchmarks faults $(DRIVE) --map $(MAP) --robot $(ROBOT) --start $(START) $(AT)
 
 # Hostile files, bags and messages at every door: N inputs each, others than in CI and every time.
 N ?= 1000
