@@ -83,7 +83,7 @@ TOPICS = {
 SERVICES = {
     'capture_sweep': 'takes a sweep; a second call interrupts it, the next one goes on',
     'learn_landmarks': 'makes a map out of the panoramas so far',
-    'save_map': 'writes the map to `map_folder`',
+    'save_map': 'writes the map to `map_folder`; a map there, and its figures, are replaced',
     'load_map': 'reads it from there',
     'clear_panoramas': 'forgets the panoramas',
     'relocalize': 'finds the pose without a prior, for at most `relocalization.search_s`',
@@ -302,7 +302,11 @@ def _range(name: str, metadata: Any) -> str:
 def _commands() -> Iterator[str]:
     from landmark_nav.cli.main import actions_of, COMMANDS
 
-    yield from ('# Commands', '', 'What `landmark-nav COMMAND --help` prints.')
+    yield from (
+        '# Commands',
+        '',
+        'What `landmark-nav COMMAND --help` prints. [How long they take](../how_well.md#time).',
+    )
     for name, (summary, _) in COMMANDS.items():
         yield from ('', f'## {name}', '', f'{summary[0].upper()}{summary[1:]}.', '')
         yield from ('```text', _help(name), '```')

@@ -189,5 +189,5 @@ def _report(
             for a, b, value in calibration_run.trade_offs(found)
         ],
         'side_slip_bound_rad': work.drives[-1].slip_bound_rad if work.drives else None,
-        'contradicted': {name: {'off': off, 'sigma': s} for name, (off, s) in contradicted.items()},
+        'contradicted': {k: {'off': off, 'sigma': s} for k, (off, s) in contradicted.items()},
     }
