@@ -82,7 +82,7 @@ ROBOT = bags/robot.yaml
 ROOM = bags/room.yaml
 MAP = .bags-map
 # Seconds before the faults, which the drive must outlast.
-AT = --at 2
+AT = --at 3
 # At 15 images a second it would be over before the nodes are warm.
 HZ = --hz 5
 START = $(shell $(PYTHON) -c "import json; print(*json.load(open('bags/start.json'))['pose'])")
