@@ -132,8 +132,8 @@ class _Parser(argparse.ArgumentParser):
     def _check_value(self, action: argparse.Action, value: Any) -> None:
         if action.choices is not None and value not in action.choices:
             known = [str(choice) for choice in action.choices]
-            text = f'{shown(value)} is none of {", ".join(known)}{_meant(str(value), known)}'
-            raise argparse.ArgumentError(action, text)
+            meant = _meant(str(value), known) or f': choose from {", ".join(known)}'
+            raise argparse.ArgumentError(action, f'{shown(value)} is no choice{meant}')
 
 
 def _run(name: str, arguments: list[str]) -> int:

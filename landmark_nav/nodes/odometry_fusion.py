@@ -111,7 +111,7 @@ class OdometryFusionNode(ConfiguredNode):
             f'once with joint_delay: {late.delay_s:.4f} in robot.yaml'
         )
         if late.delay_s < 0.0:
-            advice += '; or the images are late: landmark-nav check on a recording shows it'
+            advice += '; or the images are late: landmark-nav check shows it in a recording'
         return advice
 
     def _mount_advice(self) -> str:
