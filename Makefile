@@ -74,8 +74,26 @@ variety: install
 landmarks: install
 	$(BIN)/python test/benchmarks landmarks --area --seeds $(SEEDS)
 
-# On one drive's bag: this, and what else one could do. Needs DRIVE, LEARN, MAP, ROBOT; START "X Y THETA".
-alternatives: install
+# What alternatives, latency, degraded and faults take: bags/, or all of these; START is "X Y THETA".
+ifndef DRIVE
+DRIVE = bags/drive
+LEARN = bags/learn
+ROBOT = bags/robot.yaml
+ROOM = bags/room.yaml
+MAP = .bags-map
+# Seconds before the faults, which the drive must outlast.
+AT = --at 3
+# At 15 images a second it would be over before the nodes are warm.
+HZ = --hz 5
+START = $(shell $(PYTHON) -c "import json; print(*json.load(open('bags/start.json'))['pose'])")
+endif
+
+.bags-map: .venv/installed
+	$(BIN)/landmark-nav learn bags/learn --room bags/room.yaml --robot bags/robot.yaml --out $@ --overwrite
+	touch $@
+
+# This, and what else one could do.
+alternatives: install $(MAP)
 	$(BIN)/python test/benchmarks alternatives $(DRIVE) --learn $(LEARN) --map $(MAP) --robot $(ROBOT) --start $(START)
 
 # The active camera against a fixed one and random triplets, in rooms that nothing was tuned on.
@@ -83,8 +101,8 @@ cameras: install
 	$(BIN)/python test/benchmarks cameras --seeds $(SEEDS)
 
 # From image to corrected pose on the live graph.
-latency: install
-	$(BIN)/python test/benchmarks latency $(DRIVE) --map $(MAP) --room $(ROOM) --robot $(ROBOT) --start $(START)
+latency: install $(MAP)
+	$(BIN)/python test/benchmarks latency $(DRIVE) --map $(MAP) --room $(ROOM) --robot $(ROBOT) --start $(START) $(HZ)
 
 # Places that papers tell, errors against covariances.
 papers: install
@@ -103,13 +121,13 @@ unmeasured: install
 calibration: install
 	$(BIN)/python test/benchmarks calibration
 
-# A drive with errors in its streams and images; bags/ or, all five given, DRIVE, MAP, ROBOT, ROOM; START "X Y THETA".
-degraded: install
-	$(BIN)/python test/benchmarks degraded $(if $(DRIVE),$(DRIVE) --map $(MAP) --robot $(ROBOT) --room $(ROOM) --start $(START))
+# A drive with errors in its streams and images.
+degraded: install $(MAP)
+	$(BIN)/python test/benchmarks degraded $(DRIVE) --map $(MAP) --robot $(ROBOT) --room $(ROOM) --start $(START)
 
-# A drive with faults of odometry, joints, camera and clock. Needs DRIVE, MAP, ROBOT; START "X Y THETA".
-faults: install
-	$(BIN)/python test/benchmarks faults $(DRIVE) --map $(MAP) --robot $(ROBOT) --start $(START)
+# A drive with faults of odometry, joints, camera and clock.
+faults: install $(MAP)
+	$(BIN)/python test/benchmarks faults $(DRIVE) --map $(MAP) --robot $(ROBOT) --start $(START) $(AT)
 
 # Hostile files, bags and messages at every door: N inputs each, others than in CI and every time.
 N ?= 1000
@@ -152,4 +170,4 @@ test-colcon: .venv-colcon/installed
 	touch $@
 
 clean:
-	rm -rf .venv .venv-oldest .venv-colcon build docs/_build docs/reference dist *.egg-info demo .pytest_cache .mypy_cache .ruff_cache .hypothesis
+	rm -rf .bags-map .venv .venv-oldest .venv-colcon build docs/_build docs/reference dist *.egg-info demo .pytest_cache .mypy_cache .ruff_cache .hypothesis

@@ -2,21 +2,23 @@
 Pages of the reference out of the code: topics, services, parameters, commands, calibration.
 
 ``python docs/generate_reference.py FOLDER`` writes them; `conf.py` does so at each build. A topic,
-service or parameter without a description raises an error.
+service or parameter without a description raises an error, and so does a description of none.
 """
 
 from __future__ import annotations
 
 import argparse
 from collections import defaultdict
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from contextlib import redirect_stdout
 from importlib import import_module
 import io
+from itertools import product
 import os
 from pathlib import Path
 import sys
 from tempfile import TemporaryDirectory
+from types import SimpleNamespace
 from typing import Any
 from unittest.mock import patch
 
@@ -59,9 +61,8 @@ TOPICS = {
     'triangulation/pose': 'fix: the pose of one image by itself',
     'global_localization/pose': 'pose found without a prior',
     'expectation': 'pose and calibration as they are known: where landmarks are looked for',
-    'joint_delay': 'by how much `joint_states` is late',
     'cmd_vel': 'speed of the simulated robot',
-    'initialpose': 'start that a person gives (RViz: 2D Pose Estimate)',
+    'initialpose': 'start, of a person (RViz: 2D Pose Estimate) or of learning without a plan',
     'odometry/fused': 'pose of `base_link` in `map`, with covariance: the result',
     'odometry_fusion/protection_level': 'that pose with a covariance of which **one** sigma holds '
     'the error with 99 %',
@@ -74,7 +75,7 @@ TOPICS = {
     'triplet_selector/triplet_scores': 'triplets with their [reason](../architecture.md#codes)',
     'triplet_selector/landmark_visibility': 'landmarks with their '
     '[reason](../architecture.md#codes)',
-    'tf': '`map` → `odom`, where tf2_msgs is installed',
+    'tf': '`map` → `odom`, and frames of the simulated robot; where tf2_msgs is installed',
     'tf_static': 'fixed frames of the robot',
     'diagnostics': 'OK, degraded or lost, with the reason, once a second',
 }
@@ -82,7 +83,7 @@ TOPICS = {
 SERVICES = {
     'capture_sweep': 'takes a sweep; a second call interrupts it, the next one goes on',
     'learn_landmarks': 'makes a map out of the panoramas so far',
-    'save_map': 'writes the map to `map_folder`',
+    'save_map': 'writes the map to `map_folder`; a map there, and its figures, are replaced',
     'load_map': 'reads it from there',
     'clear_panoramas': 'forgets the panoramas',
     'relocalize': 'finds the pose without a prior, for at most `relocalization.search_s`',
@@ -103,8 +104,8 @@ def write_reference(folder: Path) -> list[Path]:
     folder.mkdir(parents=True, exist_ok=True)
     with TemporaryDirectory() as drawn:
         room = prepare_room(Path(drawn), seed=1)
-        files = {'robot_file': str(room.robot_file), 'room_file': str(room.room_file)}
-        publishers, subscribers, services, kinds = _ends_of_nodes(files)
+        robot, plan = {'robot_file': str(room.robot_file)}, {'room_file': str(room.room_file)}
+        publishers, subscribers, services, kinds = _ends_of_nodes(robot, robot | plan)
     pages = {
         'topics': _topics(publishers, subscribers, kinds),
         'services': _services(services),
@@ -118,9 +119,13 @@ def write_reference(folder: Path) -> list[Path]:
 
 
 def _ends_of_nodes(
-    files: dict[str, str],
+    *setups: dict[str, str],
 ) -> tuple[dict[str, list[str]], dict[str, list[str]], dict[str, str], Any]:
-    """Nodes that publish, subscribe to and serve each name; type and QoS of each topic."""
+    """
+    Nodes that publish, subscribe to and serve each name; type and QoS of each topic.
+
+    Nodes are started with the files of each of the `setups`.
+    """
     import rclpy
 
     from landmark_nav.ros.topics import FORMER_NAMES
@@ -133,7 +138,7 @@ def _ends_of_nodes(
     rclpy.init(args=[])
     try:
         # That of the bag player depends on its bag.
-        for name in READS:
+        for name, files in product(READS, setups):
             if name == 'bag_player':
                 continue
             node = _started(name, files)
@@ -175,18 +180,33 @@ def _started(name: str, files: dict[str, str]) -> Any:
 def _topics(
     publishers: dict[str, list[str]], subscribers: dict[str, list[str]], kinds: Any
 ) -> Iterator[str]:
+    from rclpy.qos import QoSProfile
+
+    from landmark_nav.ros.topics import LATCHED
+
     yield from (
         '# Topics',
         '',
         'Names are relative: a namespace or a remapping moves them. QoS: the depth of the queue, '
         '`reliable` or `best effort`; `latched` is transient local. `qos_overrides` changes the '
         'reliability of each. Where no node is named, the robot, a person or any other program is '
-        'meant; `bag_player` publishes what its bag holds, and `/clock`.',
+        'meant; `bag_player` publishes what its bag holds, and `/clock`. `landmark_learner` takes '
+        '`panorama/*` with `room_file`, and `sweep/*` and `odom` without.',
         '',
         '| topic | type | from | to | QoS | |',
         '|---|---|---|---|---|---|',
     )
-    for topic in sorted({*publishers, *subscribers}):
+    # The ROS wheels have no tf2_msgs, so that nodes do not publish these.
+    kind = SimpleNamespace(__module__='tf2_msgs', __name__='TFMessage')
+    for topic, nodes, qos in (
+        ('tf', ('odometry_fusion', 'room_simulator'), QoSProfile(depth=100)),
+        ('tf_static', ('room_simulator',), LATCHED),
+    ):
+        publishers[topic], kinds[topic] = list(nodes), (kind, qos)
+    described = {*publishers, *subscribers}
+    if gone := TOPICS.keys() - described:
+        raise KeyError(f'no node has {sorted(gone)}')
+    for topic in sorted(described):
         kind, qos = kinds[topic]
         latched = ', latched' if qos.durability.name == 'TRANSIENT_LOCAL' else ''
         reliability = qos.reliability.name.lower().replace('_', ' ')
@@ -233,7 +253,10 @@ def _parameters() -> Iterator[str]:
         '| parameter | default | range, unit | nodes | |',
         '|---|---|---|---|---|',
     )
-    for name, field, value in sorted(leaves(Configuration()), key=lambda leaf: '.' in leaf[0]):
+    from landmark_nav.ros.node import Startup
+
+    every = [*leaves(Configuration()), *leaves(Startup())]
+    for name, field, value in sorted(every, key=lambda leaf: '.' in leaf[0]):
         nodes = [node for node, read in READS.items() if is_of(name, read)]
         is_live = any(is_of(name, LIVE[node]) for node in nodes if node in LIVE)
         shown = f'**`{name}`**' if name in users else f'`{name}`'
@@ -243,7 +266,7 @@ def _parameters() -> Iterator[str]:
             shown,
             f'`{_shown(value)}`',
             limits,
-            _names(nodes) + is_live * ', **live**',
+            (_names(nodes) or 'all') + is_live * ', **live**',
             description,
         )
     yield from (
@@ -277,13 +300,19 @@ def _range(name: str, metadata: Any) -> str:
 
 
 def _commands() -> Iterator[str]:
-    from landmark_nav.cli.main import COMMANDS
+    from landmark_nav.cli.main import actions_of, COMMANDS
 
-    yield from ('# Commands', '', 'What `landmark-nav COMMAND --help` prints.')
+    yield from (
+        '# Commands',
+        '',
+        'What `landmark-nav COMMAND --help` prints. [How long they take](../how_well.md#time).',
+    )
     for name, (summary, _) in COMMANDS.items():
         yield from ('', f'## {name}', '', f'{summary[0].upper()}{summary[1:]}.', '')
         yield from ('```text', _help(name), '```')
-        for action in _subcommands(name):
+        parser = argparse.ArgumentParser()
+        import_module(f'landmark_nav.cli.{name}').add_arguments(parser)
+        for action in actions_of(parser):
             yield from ('', f'### {name} {action}', '', '```text', _help(name, action), '```')
 
 
@@ -314,14 +343,6 @@ def _help(*command: str) -> str:
     with patch.dict(os.environ, COLUMNS='99', NO_COLOR='1'), redirect_stdout(io.StringIO()) as out:
         main([*command, '--help'])
     return out.getvalue().strip()
-
-
-def _subcommands(name: str) -> Iterable[str]:
-    """Actions of a command, such as ``show`` of ``map``."""
-    parser = argparse.ArgumentParser()
-    import_module(f'landmark_nav.cli.{name}').add_arguments(parser)
-    kinds = (action for action in parser._actions if isinstance(action.choices, dict))
-    return [choice for action in kinds for choice in action.choices]
 
 
 def _names(nodes: list[str]) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, astuple, dataclass
+from glob import escape, glob
 import hashlib
 from importlib import import_module
 from itertools import islice, product
@@ -84,19 +85,21 @@ def read_runs(path: Path, version: str) -> list[Run]:
     """
     Read a file of runs: YAML with `runs`, a list of mappings (docs/batch.md), and `grid`.
 
+    A path with ``*`` is of folders instead, a run each, with names as `simulate` gives them.
     Results of other versions of the package are not reused. Raises `LandmarkNavError`: the file is
     invalid or holds no run.
     """
-    document = read_yaml_mapping(path)
+    document = _of_folders(path) if '*' in str(path) else read_yaml_mapping(path)
     check_spelling(document, ('runs', 'grid'), str(path))
     grid = _grid(document.get('grid', {}), str(path))
     runs: dict[str, Run] = {}
     for number, entry in enumerate(list_field(document, 'runs', str(path)), 1):
         where = f'{path}: run {number}'
+        known = ('name', 'folder', *_SHARED, *COMMANDS)
+        if isinstance(entry, Mapping):
+            check_spelling(entry, known, where)
         if not isinstance(entry, Mapping) or not set(COMMANDS) & set(entry):
             raise LandmarkNavError(f'{where}: names none of {", ".join(COMMANDS)}')
-        known = ('name', 'folder', *_SHARED, *COMMANDS)
-        check_spelling(entry, known, where)
         if strange := [key for key in entry if key not in known]:
             raise LandmarkNavError(f'{where}: {shown(strange[0])} is none of {", ".join(known)}')
         for folder in _folders(path.parent, entry, where):
@@ -110,6 +113,21 @@ def read_runs(path: Path, version: str) -> list[Run]:
     if not runs:
         raise LandmarkNavError(f'{path}: holds no run')
     return list(runs.values())
+
+
+def _of_folders(pattern: Path) -> dict[str, Any]:
+    """Runs of the folders of a pattern: of sweeps in ``learn`` and a drive in ``drive``."""
+    runs = []
+    for folder in map(Path, sorted(glob(str(pattern)))):
+        run: dict[str, Any] = {
+            name: f'{name}.yaml' for name in _SHARED if (folder / f'{name}.yaml').is_file()
+        }
+        for command, bag in ('learn', 'learn'), ('evaluate', 'drive'):
+            if (folder / bag).exists():
+                run[command] = {'bag': bag}
+        if COMMANDS.keys() & run:
+            runs.append({'folder': escape(str(folder.absolute())), **run})
+    return {'runs': runs}
 
 
 def _grid(given: Any, where: str) -> list[dict[str, Any]]:

@@ -163,7 +163,7 @@ def page(
     by_name = {run.name: run for run in runs}
     good = [row for row in rows if not row['failure']]
     columns = [name for name in _columns(rows) if name not in ('run', 'failure', 'result_hash')]
-    shown = [(row, _pictures(by_name[row['run']], results)) for row in good]
+    shown = [(row, _thumbnails(by_name[row['run']], results)) for row in good]
     failures = [row for row in rows if row['failure']]
     values = {'title': title, 'shown': shown, 'columns': columns, 'changes': changes}
     template = Environment(autoescape=True).from_string(_PAGE)
@@ -174,7 +174,7 @@ def _cell(value: Any) -> str:
     return f'{value:.4g}' if isinstance(value, float) else '' if value is None else str(value)
 
 
-def _pictures(run: Run, results: Path) -> list[tuple[str, str]]:
+def _thumbnails(run: Run, results: Path) -> list[tuple[str, str]]:
     """Link targets of the figures of a run, and thumbnails of the figures in base64."""
     images = []
     for stage in run.stages:

@@ -21,7 +21,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         'of this machine or on a scheduler of dask.distributed, and write table.csv, '
         'table.parquet and index.html. What an earlier call has done in DIR is not repeated.'
     )
-    parser.add_argument('jobs', metavar='JOBS.yaml', type=Path, help='the runs: docs/batch.md')
+    text = 'the runs (docs/batch.md), or a pattern of folders as of simulate, such as "rooms/*"'
+    parser.add_argument('jobs', metavar='JOBS.yaml', type=Path, help=text)
     add(parser, '--out', default=Path('batch'), help='results (default batch)')
     text = 'of a scheduler that runs, such as tcp://host:8786; its workers need the same files'
     add(parser, '--scheduler', metavar='ADDRESS', help=text)

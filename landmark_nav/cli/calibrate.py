@@ -97,13 +97,13 @@ def run(args: argparse.Namespace) -> int:
             'the recording shows nothing of the mount, as if the robot stood still: record '
             + '; '.join(motion for motion, _ in calibration_run.advice(hidden)[:3])
         )
-    broken = calibration_run.broken_promises(work.drives[-1], given) if work.drives else {}
-    for name, (off, sigma) in broken.items():
+    contradicted = calibration_run.contradicted(work.drives[-1], given) if work.drives else {}
+    for name, (off, sigma) in contradicted.items():
         _LOG.warning(
             '%s: %s is given as exact (sigma 0), and the drive shows %s beside it: it stays',
             args.robot, name, shown(off, sigma, UNITS[name]),
         )  # fmt: skip
-    report, residuals = _report(work, given, broken), None
+    report, residuals = _report(work, given, contradicted), None
     if work.drives:
         none = np.zeros_like(given.covariance)
         before, after = (
@@ -166,7 +166,7 @@ def _use_drive(work: _Work, bag: Bag) -> None:
 
 
 def _report(
-    work: _Work, given: Calibration, broken: dict[str, tuple[float, float]]
+    work: _Work, given: Calibration, contradicted: dict[str, tuple[float, float]]
 ) -> dict[str, Any]:
     found = work.known
     table: dict[str, Any] = {k: dict(row) for k, row in found.differences(given).items()}
@@ -189,5 +189,5 @@ def _report(
             for a, b, value in calibration_run.trade_offs(found)
         ],
         'side_slip_bound_rad': work.drives[-1].slip_bound_rad if work.drives else None,
-        'contradicted': {name: {'off': off, 'sigma': s} for name, (off, s) in broken.items()},
+        'contradicted': {k: {'off': off, 'sigma': s} for k, (off, s) in contradicted.items()},
     }

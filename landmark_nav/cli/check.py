@@ -9,7 +9,7 @@ import itertools
 import numpy as np
 
 from landmark_nav.calibration import Calibration
-from landmark_nav.cli.options import add, open_bag
+from landmark_nav.cli.options import add, open_bag, progress
 from landmark_nav.diagnosis import check_papers, diagnose, Diagnosis, Finding, QUICK, table, worst
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.replay import replay
@@ -48,7 +48,7 @@ def run(args: argparse.Namespace) -> int:
     if args.map and room is None:
         walls = load_map(args.map).walls
         room = Room(walls) if walls else None
-    bag = open_bag(args.bag, args)
+    bag = _shown(open_bag(args.bag, args))
     found = diagnose(bag, known, room)
     if room is not None and room.papers:
         found = replace(found, findings=(*found.findings, *check_papers(bag, known, room)))
@@ -85,13 +85,18 @@ def _check_map(bag: Bag, args: argparse.Namespace) -> list[Finding]:
     return [Finding('map', 'ok', text, '', {'pose': done.start.pose.tolist()})]
 
 
+def _shown(bag: Bag) -> Bag:
+    """Bag that shows progress while it is read."""
+    return bag.showing(lambda messages, total: progress(messages, 'checking', total))
+
+
 def checked(bag: Bag, known: Calibration, room: Room | None) -> Diagnosis:
     """
     Check a recording quickly before it is used, and log warnings, one line each.
 
     Raises `LandmarkNavError`: the recording has errors; the first one is in the message.
     """
-    found = diagnose(bag, known, room, QUICK)
+    found = diagnose(_shown(bag), known, room, QUICK)
     for finding in found.warnings:
         if not finding.when_read:
             bag.warn(f'{bag.path}: {finding.line()}')

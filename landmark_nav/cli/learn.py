@@ -6,7 +6,7 @@ import argparse
 from collections.abc import Iterator, Sequence
 from contextlib import suppress
 from dataclasses import asdict, replace
-from itertools import islice
+from itertools import count, islice
 import logging
 from pathlib import Path
 import time
@@ -133,7 +133,8 @@ def run(args: argparse.Namespace) -> int:
     report = learning_report.learning_report(result, panoramas, frames, truth, known, log, seconds)
     if located is not None:
         scales = {share.name: asdict(share) for share in located.poses.scales}
-        report['unmeasured'] = {**found, 'sources': scales}
+        sigma = located.poses.scale_sigma
+        report['unmeasured'] = {**found, 'scale_sigma': sigma, 'sources': scales}
     if args.walls_out:
         atomic_io.write_atomically(args.walls_out, room_text(room))
     atomic_io.write_json(args.json, report)
@@ -176,7 +177,7 @@ def located_sweeps(
 
     def sweeps() -> Iterator[Sweep]:
         frames.clear()
-        for sweep in progress(read_sweeps(bag, given.mount), 'panoramas'):
+        for sweep in read_sweeps(bag, given.mount):
             frames.append(len(sweep.frames))
             yield sweep
 
@@ -190,7 +191,11 @@ def located_sweeps(
         with inside(bag.path):
             return known_places(poses, spans, samples, config.odometry)
 
-    return unmeasured.locate_sweeps(sweeps, known, given, config, config.unmeasured, log), frames
+    trajectory = bag.find('sweep/trajectory')
+    # Calibration and panorama of each sweep, poses and facades; again once they are levelled.
+    stages = 2 * (2 * bag.counts[trajectory] + 2) if trajectory else None
+    shown = replace(log, steps=progress(count(), 'locating', stages))
+    return unmeasured.locate_sweeps(sweeps, known, given, config, config.unmeasured, shown), frames
 
 
 def _config(args: argparse.Namespace, placed: bool) -> Configuration:

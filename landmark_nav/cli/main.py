@@ -16,7 +16,6 @@ from io import TextIOWrapper
 import logging
 import os
 from pathlib import Path
-import re
 import shlex
 import signal
 import sys
@@ -127,11 +126,14 @@ class _Parser(argparse.ArgumentParser):
     """Parser that reports errors in one line of bounded length, after the usage."""
 
     def error(self, message: str) -> NoReturn:
-        found = re.search(r"invalid choice: '(.*?)' \(choose from (.*)\)", message)
-        if found and (meant := _meant(found[1], re.findall(r'[\w-]+', found[2]))):
-            message = message.partition(' (choose')[0] + meant
         self.print_usage(sys.stderr)
         self.exit(2, one_line(f'{self.prog}: error: {message}') + '\n')
+
+    def _check_value(self, action: argparse.Action, value: Any) -> None:
+        if action.choices is not None and value not in action.choices:
+            known = [str(choice) for choice in action.choices]
+            meant = _meant(str(value), known) or f': choose from {", ".join(known)}'
+            raise argparse.ArgumentError(action, f'{shown(value)} is no choice{meant}')
 
 
 def _run(name: str, arguments: list[str]) -> int:
@@ -145,18 +147,22 @@ def _run(name: str, arguments: list[str]) -> int:
     parser.add_argument('--version', action='version', version=f'landmark-nav {release()}')
     _add_verbosity(parser, 0)
     commands = parser.add_subparsers(dest='command', metavar='COMMAND', required=True)
-    command, asked = None, parser
+    command = None
+    asked: argparse.ArgumentParser = parser
     for known, (summary, example) in COMMANDS.items():
         subparser = commands.add_parser(known, help=summary)
         if known == name:
-            asked = subparser
             # OpenCV's messages on broken images repeat our own line, which names the file.
             os.environ.setdefault('OPENCV_LOG_LEVEL', 'SILENT')
             command = import_module(f'landmark_nav.cli.{name}')
             command.add_arguments(subparser)
-            _add_verbosity(subparser, argparse.SUPPRESS)
-            listed = f'{subparser.epilog}\n\n' if subparser.epilog else ''
-            subparser.epilog = f'{listed}example: landmark-nav {example}'
+            actions = actions_of(subparser)
+            for one in (subparser, *actions.values()):
+                _add_verbosity(one, argparse.SUPPRESS)
+                if one is subparser or not one.epilog:
+                    listed = f'{one.epilog}\n\n' if one.epilog else ''
+                    one.epilog = f'{listed}example: landmark-nav {example}'
+            asked = next((actions[word] for word in arguments if word in actions), subparser)
     if '_ARGCOMPLETE' in os.environ:
         import_module('argcomplete').autocomplete(parser)
     if not arguments:
@@ -179,6 +185,12 @@ def _run(name: str, arguments: list[str]) -> int:
     _check_apart(args)
     with interrupting():
         return int(command.run(args))
+
+
+def actions_of(parser: argparse.ArgumentParser) -> dict[str, argparse.ArgumentParser]:
+    """Parsers of the actions of a command, such as ``show`` of ``map``."""
+    kinds = (k for k in parser._actions if isinstance(k, argparse._SubParsersAction))
+    return {name: one for kind in kinds for name, one in kind.choices.items()}
 
 
 def _add_verbosity(parser: argparse.ArgumentParser, default: Any) -> None:

@@ -42,10 +42,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         one.set_defaults(call=call)
         for metavar, what in folders.items():
             one.add_argument(metavar.lower(), metavar=metavar, help=what)
+        one.epilog = f'example: landmark-nav map {name} {" ".join(folders).lower()}'
         return one
 
     older, newer = 'map folder, the older one', 'map folder, the newer one'
-    action('show', _show, 'List the landmarks: where, how sure, how large.', MAP='map folder')
+    action('show', _show, 'List the landmarks: position, sigma, size.', MAP='map folder')
     text = 'Check a map: exit status 1 and a line for each problem.'
     action('check', _check, text, MAP='map folder')
     text = (
@@ -56,6 +57,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     action('diff', _diff, text, A=older, B=newer)
     text = 'Join two maps of one room: the newer one wins where a texture changed.'
     merge = action('merge', _merge, text, OLDER=older, NEWER=newer)
+    merge.epilog += ' --out map'
     merge.add_argument('--out', required=True, metavar='MAP', help='map folder to write')
     text = "Write a map of an older format in today's: nothing else changes."
     migrate = action('migrate', _migrate, text, MAP='map folder')

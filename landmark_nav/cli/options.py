@@ -184,30 +184,37 @@ def evaluate_line(
 
 T = TypeVar('T')
 
-# Delay of the progress bar on a terminal; interval of the lines elsewhere.
+# Delay of the first progress bar on a terminal; interval of the lines elsewhere.
 _FIRST_S, _LINE_EVERY_S = 2.0, 10.0
+
+
+class _Shown:
+    """Times of the start of the command and of its last line of progress, for all its bars."""
+
+    begin_s = line_s = time.monotonic()
 
 
 def progress(iterable: Iterable[T], description: str, total: int | None = None) -> Iterator[T]:
     """
     Yield items, and show progress and remaining time on stderr.
 
-    A terminal shows a bar after two seconds; other outputs get a line every ten seconds. If
-    warnings are disabled, nothing is shown.
+    A terminal shows a bar once the command has taken two seconds; other outputs get a line every
+    ten seconds. If warnings are disabled, nothing is shown.
     """
     if not logging.getLogger().isEnabledFor(logging.WARNING):
         yield from iterable
     elif sys.stderr is not None and sys.stderr.isatty():
         bar: Any = {'desc': description, 'total': total, 'leave': False}
-        yield from tqdm(iterable, delay=_FIRST_S, file=sys.stderr, **bar)
+        delay_s = max(0.0, _Shown.begin_s + _FIRST_S - time.monotonic())
+        yield from tqdm(iterable, delay=delay_s, file=sys.stderr, **bar)
     else:
-        begin = shown = time.monotonic()
+        begin = time.monotonic()
         total = len(iterable) if total is None and isinstance(iterable, Sized) else total
         for count, item in enumerate(iterable):
             now = time.monotonic()
-            if now - shown > _LINE_EVERY_S and sys.stderr is not None:
+            if now - _Shown.line_s > _LINE_EVERY_S and sys.stderr is not None:
                 known: Any = total
                 line = tqdm.format_meter(count, known, now - begin, 80, prefix=description)
                 print(line, file=sys.stderr, flush=True)
-                shown = now
+                _Shown.line_s = now
             yield item

@@ -92,7 +92,8 @@ def run(args: argparse.Namespace) -> int:
 
                 reason = 'it runs, but reports nothing: it is at work, or hangs'
                 silent = replace(client.status_of(''), level='SILENT', reason=reason)
-                client.status |= dict.fromkeys(missing & READS.keys(), silent)
+                ours = {name for name in missing if name.rpartition('/')[2] in READS}
+                client.status |= dict.fromkeys(ours, silent)
         while True:
             size = shutil.get_terminal_size((99, 24))
             lines = table(others(), size.columns, args.values)

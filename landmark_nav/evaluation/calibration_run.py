@@ -161,7 +161,7 @@ def _direction_bound(run: Replay) -> float:
     return float(known**-0.5) if known else float(np.pi)
 
 
-def broken_promises(drive: CalibrationDrive, given: Calibration) -> dict[str, tuple[float, float]]:
+def contradicted(drive: CalibrationDrive, given: Calibration) -> dict[str, tuple[float, float]]:
     """
     Quantities given as exact that a drive contradicts: estimated minus given value, and sigma.
 

@@ -180,11 +180,11 @@ def undetected_failures(
     errors: FloatArray, covariances: FloatArray, tracking: npt.NDArray[np.bool_]
 ) -> int:
     """Count OK states, by the mask `tracking` (n,), with an error beyond five sigmas."""
-    sure = tracking & np.all(np.isfinite(errors), axis=1)
-    position = errors[sure, :2]
-    weighted = np.linalg.solve(covariances[sure, :2, :2], position[..., None])[..., 0]
+    claimed = tracking & np.all(np.isfinite(errors), axis=1)
+    position = errors[claimed, :2]
+    weighted = np.linalg.solve(covariances[claimed, :2, :2], position[..., None])[..., 0]
     away = np.sum(position * weighted, axis=1) > _FIVE_SIGMA**2
-    turned = errors[sure, 2] ** 2 > _FIVE_SIGMA**2 * covariances[sure, 2, 2]
+    turned = errors[claimed, 2] ** 2 > _FIVE_SIGMA**2 * covariances[claimed, 2, 2]
     return int(np.sum(away | turned))
 
 

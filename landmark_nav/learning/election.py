@@ -150,7 +150,7 @@ def _refuse(
     likelihood = chdtrc(2, _MAX_CHI_SQUARE)
     most = float(chdtri(2 * others, likelihood))
     off_wall, misfit = adjustment.off_wall_m[k], adjustment.chi_square[k]
-    # What all landmarks of the map share tells none of them from the others.
+    # What all landmarks of the map share does not distinguish them.
     own = adjustment.own_covariance[k]
     ray = panorama.center_map[:2] - adjustment.positions[k, :2]
     if patch.on_wall:

@@ -214,13 +214,12 @@ class LandmarkNode(ManagedNode):
         return super().on_activate(state)
 
     def announce(self) -> None:
-        """Log that the node is ready: its services and files, and what it waits for."""
+        """Log that the node is ready: its topics, services and files, and what it waits for."""
         awaited = [one.name for one in self.inputs.awaited()]
         own = {*_OF_RCLPY, *map(self.resolve_topic_name, topics.FORMER_NAMES.values())}
-        takes = ', '.join(one.name for one in self.inputs if one.name not in own)
-        gives = ', '.join(one.topic_name for one in self.publishers if one.topic_name not in own)
-        self._log.debug('takes %s; gives %s', takes, gives)
         ends = {
+            'takes': [one.name for one in self.inputs if one.name not in own],
+            'gives': [one.topic_name for one in self.publishers if one.topic_name not in own],
             'serves': [one.service_name for one in self.services if '/' not in one.srv_name],
             'files': [
                 str(parameter.value)

@@ -113,8 +113,8 @@ class RobotClient:
     `watch` is called repeatedly meanwhile; an exception ends the wait. The domain is by default
     that of ``ROS_DOMAIN_ID``, else 0. If `drives`, it publishes velocities and start poses; if
     `observes`, it subscribes to odometry, poses and panoramas too, else only to diagnostics.
-    `status` has the last `NodeStatus` of each node, `fixes` counts triangulated poses, `panoramas`
-    come in the order of arrival.
+    `status` has the last `NodeStatus` of each node by its name, without the namespace of the
+    client; `fixes` counts triangulated poses, `panoramas` come in the order of arrival.
     """
 
     def __init__(
@@ -164,7 +164,12 @@ class RobotClient:
     def unheard(self) -> set[str]:
         """Nodes that publish ``/diagnostics``, and of which none has arrived."""
         known = self._node.get_publishers_info_by_topic('/diagnostics')
-        return {publisher.node_name for publisher in known} - {*self.status}
+        names = (f'{one.node_namespace.rstrip("/")}/{one.node_name}' for one in known)
+        return {*map(self._local, names)} - {*self.status}
+
+    def _local(self, full_name: str) -> str:
+        """Name of a node without the namespace of the client."""
+        return full_name.removeprefix(f'{self._node.get_namespace().rstrip("/")}/')
 
     def wait(self, condition: Callable[[], bool], timeout_s: float, what: str) -> None:
         """
@@ -287,7 +292,9 @@ class RobotClient:
 
     def _on_diagnostics(self, message: Any) -> None:
         for status in message.status:
-            name = status.name.partition(':')[0]
+            name, full_name = status.name.partition(':')[0], str(status.hardware_id)
+            if full_name.endswith(f'/{name}'):  # that of a device otherwise
+                name = self._local(full_name)
             self.status[name] = NodeStatus(
                 _LEVELS.get(bytes(status.level), str(status.level)),
                 status.message,

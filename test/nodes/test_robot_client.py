@@ -58,3 +58,14 @@ def test_a_domain_that_cannot_be_is_refused(text, monkeypatch):
     with pytest.raises(LandmarkNavError, match='0 to 232') as refused:
         RobotClient()
     assert len(str(refused.value)) < 100
+
+
+@pytest.mark.parametrize(
+    ('namespace', 'name'), [('', 'deep/down/counter'), ('deep/down', 'counter')]
+)
+def test_names_are_seen_from_the_namespace_of_the_client(namespace, name, domain_id):
+    with counting(domain_id) as (_, executor):
+        spin = lambda: executor.spin_once(timeout_sec=0.0)  # noqa: E731
+        with RobotClient(domain_id, spin, namespace=namespace) as client:
+            client.wait(lambda: client.status_of(name).reason == 'counting', 20.0, 'its report')
+            assert name not in client.unheard()

@@ -56,6 +56,15 @@ def test_parameters_of_a_grid_and_contents_of_files_make_a_stage(recordings):
     assert same == [False, False, True, True]
 
 
+def test_folders_as_of_simulate_need_no_file(recordings):
+    for room in (recordings / 'rooms').iterdir():
+        (room / 'sweeps').rename(room / 'learn')
+    (recordings / 'rooms' / 'notes').mkdir()
+    runs = read_runs(recordings / 'rooms' / '*', '1')
+    assert [run.name for run in runs] == ['attic', 'hall']
+    assert [stage.command for stage in runs[0].stages] == ['learn', 'evaluate']
+
+
 @pytest.mark.parametrize(
     'text',
     [
@@ -64,6 +73,7 @@ def test_parameters_of_a_grid_and_contents_of_files_make_a_stage(recordings):
         'runs: [{robot: robot.yaml}]',
         'runs: [{learn: {bag: nowhere, robot: nothing}}]',
         'runs: [{folder: nowhere/*, learn: {}}]',
+        'runs: [{lern: {bag: sweeps}}]',
         'runs: [{learn: {out: here}}]',
         'runs: [{lern: {}, evaluate: {}}]',
         'runs: [{simulate: {}}]\ngrid: {seed: [1]}',

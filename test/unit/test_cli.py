@@ -36,6 +36,7 @@ def command(monkeypatch):
         (['evaluate', 'bag', '--map', 'm', '--robot', 'r', '--reprot', 'F'], '--report'),
         (['call', 'capture_swep'], 'capture_sweep'),
         (['map', 'shw', 'm'], 'show'),
+        (['map', 'show', 'm', '--quite'], '--quiet'),
     ],
 )
 def test_what_was_meant_is_asked_for(words, meant, capsys):

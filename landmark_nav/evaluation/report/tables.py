@@ -18,11 +18,48 @@ Table = dict[str, Any]
 Row = dict[str, Any]
 
 _SCALE_NOTE = 'Size of the map if this source alone gave its scale.'
-_SCALE = ('scale from', 'sheets', 'map larger by [%]', 'sigma [%]', 'variance inflated by')
+_SCALE = {
+    'scale from': 'What gives the length of a metre.',
+    'sheets': 'Sheets of known size that were seen.',
+    'map larger by [%]': 'By this source alone, beside all sources together.',
+    'sigma [%]': 'Standard deviation of the scale by this source.',
+    'variance inflated by': 'Where sources contradict each other, their variances grow.',
+}
+_SWEEPS = {
+    'sweep': 'Number of the sweep, in the order of the bag.',
+    'frames': 'Images of the sweep that make its panorama.',
+    'x [m]': 'Place of base_link in the map.',
+    'y [m]': 'Place of base_link in the map.',
+    'heading [deg]': 'Direction of base_link, counter-clockwise from x of the map.',
+    'sigma [mm]': 'Standard deviation of the place, by its covariance.',
+    'error [mm]': 'Distance from the true place, where the bag holds ground_truth/odom.',
+    'candidates': 'Conspicuous patches of this panorama.',
+    'elected': 'Those of them that are landmarks of the map.',
+}
+_STAGES = {
+    'stage': 'Step of learning, in order.',
+    'seconds': 'Time that it took, in all sweeps.',
+    'peak memory [MB]': 'Greatest memory of the process until its end.',
+}
 _NOT_LANDMARKS = (
-    ('Candidates not elected', 'candidates', 'refused'),
-    ('Never candidates', 'patches', 'ambiguous'),
+    (
+        'Candidates not elected',
+        'candidates',
+        'refused',
+        'Why a candidate is no landmark: each counts at the first reason.',
+    ),
+    ('Never candidates', 'patches', 'ambiguous', 'Why a conspicuous patch is no candidate.'),
 )
+_CALIBRATION = {
+    'quantity': 'Of mount, lens and clocks.',
+    'prior': 'Value of robot.yaml.',
+    'estimate': 'Value that prior and recording give together.',
+    'sigma': 'Standard deviation of the estimate.',
+    'unit': 'Of prior, estimate and sigmas.',
+    'observed': 'Whether the recording shows it: its sigma fell by 30 % or more.',
+    'prior sigma': 'Standard deviation that robot.yaml gives.',
+    'prior sigmas off': 'Difference from the prior over its sigma.',
+}
 _WHOSE = {
     'fused': 'Of odometry and all images so far: what odometry_fusion publishes.',
     'triangulation': 'Each image for itself, from three bearings or more.',
@@ -43,8 +80,8 @@ _ERRORS = (
 
 
 def cell(value: float | None, factor: float, digits: int) -> str:
-    """Format a metric in another unit, or a dash if it is None."""
-    return '-' if value is None else f'{factor * value:.{digits}f}'
+    """Format a metric in another unit, zero without a sign, or a dash if it is None."""
+    return '-' if value is None else f'{round(factor * value, digits) + 0.0:.{digits}f}'
 
 
 def nees_range(interval: Sequence[float] | None) -> str:
@@ -234,7 +271,6 @@ def learning_tables(report: Mapping[str, Any]) -> list[Table]:
         error = cell(sweep.get('error_position_m'), 1e3, 1)
         counts = sweep['candidates'], sweep['elected']
         sweeps.append(_row(f'{number}', sweep['frames'], *pose, sigma, error, *counts))
-    head = ('sweep', 'frames', 'x [m]', 'y [m]', 'heading [deg]', 'sigma [mm]', 'error [mm]')
     found = report.get('unmeasured', {}).get('sources', {})
     sources = []
     for name, s in found.items():
@@ -245,13 +281,18 @@ def learning_tables(report: Mapping[str, Any]) -> list[Table]:
         for name, s in report['stages'].items()
     )
     return [
-        _table('Sweeps', (*head, 'candidates', 'elected'), sweeps),
-        *([_table('Scale', _SCALE, sources, _SCALE_NOTE)] if found else []),
+        _table('Sweeps', _SWEEPS, sweeps, whys=_SWEEPS),
+        *([_table('Scale', _SCALE, sources, _SCALE_NOTE, _SCALE)] if found else []),
         *(
-            _table(name, (name.lower(), what), (_row(k, n) for k, n in report[key].items()))
-            for name, what, key in _NOT_LANDMARKS
+            _table(
+                name,
+                (name.lower(), what),
+                (_row(k, n) for k, n in report[key].items()),
+                whys={name.lower(): why},
+            )
+            for name, what, key, why in _NOT_LANDMARKS
         ),
-        _table('Stages', ('stage', 'seconds', 'peak memory [MB]'), stages),
+        _table('Stages', _STAGES, stages, whys=_STAGES),
     ]
 
 
@@ -260,15 +301,16 @@ def _calibration_table(table: Mapping[str, Mapping[str, Any]]) -> Table:
     rows = []
     for name, row in table.items():
         factor, unit = SHOWN_IN[row['unit']]
-        values = [f'{factor * row[key]:.3f}' for key in ('prior', 'value', 'sigma')]
+        values = [cell(row[key], factor, 3) for key in ('prior', 'value', 'sigma')]
         values += [unit, 'yes' if row['observed'] else 'no']
         if 'difference_sigmas' in row:  # none from an exact prior
             off = row['difference_sigmas']
-            values.append('exact' if off is None else f'{off:.1f}')
+            values.append(cell(row['prior_sigma'], factor, 3))
+            values.append('exact' if off is None else cell(off, 1.0, 1))
         rows.append(_row(name, *values, why=MEANINGS[name]))
-    head = ('quantity', 'prior', 'estimate', 'sigma', 'unit', 'observed', 'prior sigmas off')
+    head = [*_CALIBRATION][: len(rows[0]['cells']) if rows else None]
     note = 'Observed: the recording shows it; its sigma fell by 30 % or more.'
-    return _table('Calibration', head[: len(rows[0]['cells'])] if rows else head, rows, note)
+    return _table('Calibration', head, rows, note, _CALIBRATION)
 
 
 def calibration_tables(report: Mapping[str, Any]) -> list[Table]:

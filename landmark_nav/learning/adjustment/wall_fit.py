@@ -170,10 +170,10 @@ def _judged(
     sigma = np.sqrt(np.einsum('ni,nij,nj->n', normal, adjustment.own_covariance, normal))
     off = adjustment.off_wall_m
     for k, wall in enumerate(room.walls):
-        sure = (index == k) & (sigma < _MAX_SIGMA_M)
-        plane = _likelier_plane(off[sure]) if elsewhere else 0.0
+        precise = (index == k) & (sigma < _MAX_SIGMA_M)
+        plane = _likelier_plane(off[precise]) if elsewhere else 0.0
         # Patches far in front of the wall are furniture.
-        on = sure & (np.abs(off - plane) < _MAX_DISTANCE_M)
+        on = precise & (np.abs(off - plane) < _MAX_DISTANCE_M)
         along = adjustment.positions[on, :2] @ wall.along
         if on.sum() >= least and np.ptp(along) >= _MIN_EXTENT_M:
             yield k, on

@@ -97,6 +97,10 @@ def once(messages: Iterable[BagMessage]) -> Iterator[BagMessage]:
             yield entry
 
 
+# Passes messages through and shows progress, with their number.
+Show = Callable[[Iterable[RawMessage], int], Iterable[RawMessage]]
+
+
 class Bag:
     """
     A bag that can be read several times.
@@ -119,6 +123,7 @@ class Bag:
         self.warn = on_warning
         self._given = dict(topics or {})
         self._informed: set[str] = set()
+        self._show: Show = lambda messages, _total: messages
         try:
             self._files, self._by_message = open_files(self.path, on_warning)
         except OSError as error:
@@ -155,6 +160,12 @@ class Bag:
         other = copy(self)
         other.warn = on_warning
         other._informed = set()
+        return other
+
+    def showing(self, show: Show) -> Bag:
+        """Return a copy that passes messages and their number through `show` while it is read."""
+        other = copy(self)
+        other._show = show
         return other
 
     def find(self, *names: str) -> str | None:
@@ -259,7 +270,8 @@ class Bag:
             for info in file.counts:
                 if topics is None or info.topic in topics:
                     self._reader(info)
-        for raw in _merged(self._files, topics):
+        total = sum(n for topic, n in self.counts.items() if topics is None or topic in topics)
+        for raw in self._show(_merged(self._files, topics), total):
             yield BagMessage(raw, self._reader(raw.channel), self)
 
     def is_unstamped(self, topic: str) -> bool:
