@@ -19,7 +19,7 @@ from landmark_nav.evaluation.metrics import PoseTrack
 from landmark_nav.evaluation.replay import Replay
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.localization.estimator.integrity import ProtectionLevel
+from landmark_nav.localization.estimator.integrity import ProtectionLevel, Status
 from landmark_nav.localization.localizer import LocalizationUpdate
 from landmark_nav.localization.observer import Observation
 from landmark_nav.localization.triangulation.model import base_from_axis
@@ -67,7 +67,7 @@ T = TypeVar('T')
 _NOT_RECORDED = Refusal('not recorded')
 _NONE = np.empty(0)
 # Status by the levels OK, WARN and ERROR of DiagnosticStatus, which rosbags reads as numbers.
-_STATUS = ('tracking', 'coasting', 'lost')
+_STATUS = tuple(status.value for status in Status)
 
 
 def recorded_run(bag: Bag) -> Replay:
@@ -111,7 +111,7 @@ def recorded_run(bag: Bag) -> Replay:
                 len(seen),
                 PoseEstimate(stamp, pose, fused[nearest].covariance),
                 status,
-                '' if status == 'tracking' else reason,
+                '' if status == Status.OK.value else reason,
                 level=levels.get(nearest),
             )
         )
@@ -139,7 +139,7 @@ def _same(fix: PoseEstimate | Refusal) -> PoseEstimate | Refusal:
 
 def _states_at(bag: Bag, stamps_ns: Any) -> list[tuple[str, str]]:
     """Last status of the fusion and its reason at each image; tracking before the first."""
-    states = [(0, 'tracking', '')]
+    states = [(0, Status.OK.value, '')]
     for entry in bag.messages(['/diagnostics']):
         for status in entry.message.status:
             if status.name.startswith('odometry_fusion:'):

@@ -14,6 +14,7 @@ from landmark_nav.calibration import Calibration
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.metrics import PoseTrack
 from landmark_nav.geometry import se2
+from landmark_nav.localization.estimator.integrity import Status
 from landmark_nav.localization.localizer import LocalizationConfig, LocalizationUpdate, Localizer
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.localization.odometry.track import OdometryTrack
@@ -134,7 +135,9 @@ class Replay:
     @property
     def tracking(self) -> npt.NDArray[np.bool_]:
         """Mask (n,) of the images at which the fused state was OK."""
-        return np.array([update.status == 'tracking' for update in self.updates], dtype=np.bool_)
+        return np.array(
+            [update.status == Status.OK.value for update in self.updates], dtype=np.bool_
+        )
 
 
 def replay(

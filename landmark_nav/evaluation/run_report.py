@@ -22,6 +22,7 @@ from landmark_nav.evaluation.replay import Replay
 from landmark_nav.geometry import se2
 from landmark_nav.localization.estimator.factors import ImagePoints
 from landmark_nav.localization.estimator.filter import JointFilter
+from landmark_nav.localization.estimator.integrity import Status
 from landmark_nav.localization.estimator.smoothing import smoothed_poses
 from landmark_nav.localization.estimator.state import Update
 from landmark_nav.localization.localizer import LocalizationConfig, LocalizationUpdate
@@ -177,7 +178,7 @@ def spells(run: Replay) -> list[dict[str, Any]]:
             'reason': first.reason,
         }
         for first, *_, last in ((spell[0], *spell) for spell in spells)
-        if first.status != 'tracking'
+        if first.status != Status.OK.value
     ]
 
 

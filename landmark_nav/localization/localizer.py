@@ -11,7 +11,7 @@ from dataclasses import dataclass, field, replace
 from landmark_nav.calibration import Calibration
 from landmark_nav.localization.estimator.config import EstimatorConfig
 from landmark_nav.localization.estimator.factors import ImagePoints
-from landmark_nav.localization.estimator.integrity import ProtectionLevel, Status
+from landmark_nav.localization.estimator.integrity import ProtectionLevel
 from landmark_nav.localization.estimator.state import Update
 from landmark_nav.localization.fusion import Fusion
 from landmark_nav.localization.image_stages import ImageStagesConfig
@@ -28,9 +28,6 @@ from landmark_nav.types import (
     PoseEstimate,
     Refusal,
 )
-
-# Names of the states in diagnostics and in `evaluate`.
-STATUS = {Status.OK: 'tracking', Status.DEGRADED: 'coasting', Status.LOST: 'lost'}
 
 
 @dataclass(frozen=True)
@@ -56,7 +53,7 @@ class LocalizationUpdate:
     fused : PoseEstimate
         Estimate at the image's stamp, after the update.
     status, reason : str
-        ``tracking``, ``coasting`` or ``lost`` after the update, and the reason for the last two.
+        ``OK``, ``degraded`` or ``lost`` after the update, and the reason for the last two.
     search : PoseEstimate or Refusal, optional
         Result of the relocalization, if it was run.
     level : ProtectionLevel, optional
@@ -149,9 +146,9 @@ class Localizer:
         return self._updated(seen, self.fusion.points(found))
 
     def status(self, stamp_ns: int | None = None) -> tuple[str, str]:
-        """``tracking``, ``coasting`` or ``lost``, and the reason for the last two."""
+        """``OK``, ``degraded`` or ``lost``, and the reason for the last two."""
         status, reason = self.fusion.status_at(stamp_ns)
-        return STATUS[status], reason
+        return status.value, reason
 
     def _new_search(self) -> Relocalizer:
         config, mount = self._config, self.fusion.calibration.mount

@@ -52,12 +52,12 @@ class Outcome:
     reason: str = ''
 
     def note(self, after_s: float, status: tuple[str, str]) -> None:
-        if after_s >= 0.0 and np.isnan(self.reported_s) and status[0] != 'tracking':
+        if after_s >= 0.0 and np.isnan(self.reported_s) and status[0] != 'OK':
             self.reported_s, self.reason = after_s, ': '.join(status)
 
     def judge(self, after_s: float, update: LocalizationUpdate, true: FloatArray) -> None:
         self.images += 1
-        if update.status != 'tracking':
+        if update.status != 'OK':
             return
         self.tracking += 1
         error = pose_errors([update.fused.pose], [true])

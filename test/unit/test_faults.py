@@ -126,7 +126,7 @@ def untouched(step: Step, frame: CameraFrame | None) -> Sensed:
 def check_consistent(moments: list[Moment]) -> None:
     """No undetected failure: three numbers whose errors are Gaussian reach 40 once in 10^8."""
     for moment in moments:
-        assert moment.status != 'tracking' or moment.after_s < 2.0 or moment.nees < 40.0
+        assert moment.status != 'OK' or moment.after_s < 2.0 or moment.nees < 40.0
 
 
 LATE_S = 0.2
@@ -274,12 +274,12 @@ def test_a_fault_is_noticed_and_got_over(sensed, begun, name):
     check_consistent(moments)
     if np.isfinite(noticed_s):
         soon = [m for m in moments if 0.0 <= m.after_s <= noticed_s]
-        assert any(m.refused or m.status != 'tracking' for m in soon)
+        assert any(m.refused or m.status != 'OK' for m in soon)
     else:
         assert 'lost' not in {m.status for m in moments}
     if np.isfinite(back_s):
         later = [m for m in moments if m.after_s > back_s and not 6.0 <= m.after_s <= 7.0]
-        assert {m.status for m in later} == {'tracking'}
+        assert {m.status for m in later} == {'OK'}
         assert max(np.hypot(*m.error[:2]) for m in later) < 0.07
 
 
@@ -290,9 +290,9 @@ def test_a_wrong_start_is_noticed_and_put_right(sensed, offset):
     found = next(m for m in moments if isinstance(m.update.search, PoseEstimate))
     assert found.after_s + FAULT_S <= (2.0 if offset[0] > -1.0 else 6.0)
     before = [m for m in moments if m.after_s + FAULT_S > 2.0 and m.after_s < found.after_s]
-    assert 'tracking' not in {m.status for m in before}
+    assert 'OK' not in {m.status for m in before}
     later = [m for m in moments if found.after_s < m.after_s < 6.0]
-    assert {m.status for m in later} == {'tracking'}
+    assert {m.status for m in later} == {'OK'}
     assert max(np.hypot(*m.error[:2]) for m in later) < 0.05
     check_consistent(later)
 
@@ -310,8 +310,8 @@ def test_a_kidnapped_robot_finds_its_place(sensed):
         frame = frame and replace(frame, stamp_ns=now.stamp_ns)
         again.append((Step(now.stamp_ns, then.pose, sample), frame))
     moments = run([*sensed[:begin], *again], untouched)
-    assert 'tracking' not in {m.status for m in moments if 0.0 <= m.after_s <= 2.0}
-    assert moments[-1].status == 'tracking'
+    assert 'OK' not in {m.status for m in moments if 0.0 <= m.after_s <= 2.0}
+    assert moments[-1].status == 'OK'
     assert np.hypot(*moments[-1].error[:2]) < 0.05
     check_consistent(moments)
 

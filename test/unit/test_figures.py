@@ -66,7 +66,7 @@ def a_run(truth=True, fixed=True):
         fused = PoseEstimate(stamp, pose + 0.01, np.diag([4e-4, 1e-4, 1e-5]))
         fix = fused if fixed and k % 3 else Refusal('too few')
         seen = Observation(detections_of(stamp), {}, lambda fix=fix: fix)
-        status = 'lost' if k > 25 else 'tracking'
+        status = 'lost' if k > 25 else 'OK'
         updates.append(LocalizationUpdate(stamp, seen, k % 3, fused, status, ''))
     known = PoseTrack(stamps, poses) if truth else PoseTrack.of([])
     odometry = PoseTrack(stamps, poses + 0.03)

@@ -246,7 +246,7 @@ def _drive(
         'level': _numbers(levels, 4),
         'truth': _numbers(run.truth.at(stamps), 4),
         'fix': _numbers(run.fixes[chosen, :2], 4),
-        'status': [tables.STATUS.get(update.status, update.status) for update in updates],
+        'status': [update.status for update in updates],
         'reason': [known.index(reason) for reason in reasons],
         'reasons': known,
         'camera': _numbers(azimuths, 4),

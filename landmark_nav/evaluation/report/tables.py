@@ -12,7 +12,6 @@ from landmark_nav.evaluation.learning_report import NO_WALL
 
 ESTIMATES = ('fused', 'triangulation', 'odometry', 'smoothed')
 # States of localization by the terms of the glossary.
-STATUS = {'tracking': 'OK', 'coasting': 'degraded', 'lost': 'lost'}
 
 Table = dict[str, Any]
 Row = dict[str, Any]
@@ -148,7 +147,7 @@ def drive_verdict(report: Mapping[str, Any]) -> dict[str, str]:
         lost = 'never lost'
     if found := report.get('found'):
         lost = f'place found after {found["after_s"]:.1f} s, then {lost}'
-    degraded = sum(s['status'] == 'coasting' for s in report['spells'])
+    degraded = sum(s['status'] == 'degraded' for s in report['spells'])
     undetected = f'{wrong} images are over 5 sigma off and not reported' if wrong else ''
     if wrong or report.get('warning'):
         level = 'bad'
@@ -175,7 +174,7 @@ def drive_tables(report: Mapping[str, Any]) -> list[Table]:
     if spells := report['spells']:
         times = (tuple(f'{s[key]:.1f}' for key in ('from_s', 'to_s')) for s in spells)
         rows = (
-            _row(STATUS.get(s['status'], s['status']), *at, s['reason'], time_s=s['from_s'])
+            _row(s['status'], *at, s['reason'], time_s=s['from_s'])
             for s, at in zip(spells, times, strict=True)
         )
         head = ('state', 'from [s]', 'to [s]', 'reason')
