@@ -96,6 +96,7 @@ def test_a_marker_is_found_with_its_number(slant_rad, azimuth):
 
 
 STATES = np.array([[0.08, 0, 0, 1.1, 0, 0], [1.77, 0.64, 0.5, 1.102, 0.004, -0.003]])
+NO_DOUBT = np.zeros((STATES.size, 1))
 SHEETS = np.array([[2.0, -1.8, 1.6], [3.1, 1.2, 1.4], [0.6, 2.1, 1.7]])
 
 
@@ -139,7 +140,7 @@ def test_sheets_that_look_alike_are_distinguished_and_false_ones_left_out():
     tracks, lengths = sheet_tracks(sheets, {(0, 1): true_pose()}, FINE)
     assert len(tracks) == len(SHEETS)
     way = np.linalg.norm(center(STATES[1]) - center(STATES[0]))
-    assert lengths[0, 1] == pytest.approx(way, rel=0.01)
+    assert lengths[0, 1].length_m == pytest.approx(way, rel=0.01)
 
 
 def test_sheets_that_contradict_each_other_are_refused():
@@ -161,7 +162,7 @@ def test_a_pair_whose_sheets_contradict_each_other_is_left_out_if_another_pair_s
 
 
 def test_the_scale_that_sheets_give_is_consistent():
-    shares = [papers(seed).share(STATES) for seed in range(60)]
+    shares = [papers(seed).share(STATES, NO_DOUBT) for seed in range(60)]
     # The error of the size given is in sigma, but not in these.
     noise = np.sqrt(np.array([s.sigma for s in shares]) ** 2 - 0.002**2)
     normal = (np.array([s.scale for s in shares]) - 1.0) / noise
@@ -197,16 +198,16 @@ def test_sources_that_disagree_are_named_with_their_sigmas(caplog):
         return PlaceSource(PlaceChain(STATES[:, :3], sigma**2 * np.diag([0, 0, 0, 2, 2, 1.0])))
 
     right, large = papers(5), papers(5, size=1.1)
-    agree = [s.share(STATES) for s in (odometry(0.02), right)]
+    agree = [s.share(STATES, NO_DOUBT) for s in (odometry(0.02), right)]
     assert scale_sigma(agree) < min(share.sigma for share in agree)
-    doubtful = [s.share(STATES) for s in (odometry(0.05), large)]
+    doubtful = [s.share(STATES, NO_DOUBT) for s in (odometry(0.05), large)]
     assert scale_sigma(doubtful) > 0.05
     assert 'by odom the sweeps are' in caplog.text
     # Neither excludes the other, and either may be right.
-    apart = [s.share(STATES) for s in (odometry(0.1), large)]
+    apart = [s.share(STATES, NO_DOUBT) for s in (odometry(0.1), large)]
     assert scale_sigma(apart) > abs(apart[0].scale - apart[1].scale) / 3.0
     with pytest.raises(LandmarkNavError, match=r'by odom .* than by papers \(\d'):
-        scale_sigma([s.share(STATES) for s in (odometry(0.02), large)])
+        scale_sigma([s.share(STATES, NO_DOUBT) for s in (odometry(0.02), large)])
 
 
 COARSE = Cylinder.with_resolution(200.0, -0.3, 0.3)

@@ -7,7 +7,9 @@ SIFT (Lowe, IJCV 60(2), 2004) with the root of its histograms (Arandjelovic and 
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import combinations
 
 import cv2
 import numpy as np
@@ -26,6 +28,8 @@ from landmark_nav.types import FloatArray, Panorama
 # Half width of the band about the epipolar curve, in sigmas: poses are not yet exact, and may be
 # displaced by things that moved.
 BAND, WIDE_BAND = 6.0, 12.0
+# Two panoramas.
+Pair = tuple[int, int]
 # Overlap at the seam, and margin to uncovered parts, pixels: the support of a descriptor.
 _SEAM_PX, _MARGIN_PX = 48, 9
 _CONTRAST = 0.01
@@ -34,13 +38,19 @@ _CONTRAST = 0.01
 _LEAST_LIKENESS, _ROWS = 0.78, 512
 # Features nearer to each other are at one place, and no rivals.
 _ONE_PLACE_RAD = 0.01
+# Number of panoramas with which each is compared, and of their features that choose them.
+_PARTNERS, _STRONGEST = 3, 1500
 # Least and greatest range of a match, in lengths of the baseline.
 _NEAREST, _FARTHEST = 0.15, 30.0
 
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """Directions in the base frame, (n, 3) as `Cylinder.rays` has them, and descriptors (n, d)."""
+    """
+    Directions in the base frame, (n, 3) as `Cylinder.rays` has them, and descriptors (n, d).
+
+    The strongest come first.
+    """
 
     rays: FloatArray
     descriptors: Float32Array
@@ -62,7 +72,8 @@ def find_features(panorama: Panorama, most: int) -> Features:
     if not points:
         return Features(np.empty((0, 3)), np.empty((0, 128), np.float32))
     pixels = np.array([point.pt for point in points]) - (_SEAM_PX, 0)
-    kept = (pixels[:, 0] >= -0.5) & (pixels[:, 0] < width - 0.5)
+    kept = np.argsort([-point.response for point in points], kind='stable')
+    kept = kept[(pixels[kept, 0] >= -0.5) & (pixels[kept, 0] < width - 0.5)]
     histograms = descriptors[kept]
     root = np.sqrt(histograms / np.maximum(histograms.sum(1, keepdims=True), 1e-9))
     return Features(panorama.cylinder.rays(pixels[kept]), np.asarray(root, dtype=np.float32))
@@ -134,15 +145,15 @@ def like_pairs(one: Features, other: Features, config: RelativePoseConfig) -> Li
     return LikePairs(one.rays, other.rays, *map(np.concatenate, zip(*parts, strict=True)))
 
 
-def matches_along(
+def alike_along(
     one: int,
     other: int,
     states: FloatArray,
     alike: LikePairs,
     config: RelativePoseConfig,
-    band_sigmas: float = BAND,
-) -> RayPairs:
-    """Match the features of two views, those that are alike, near their epipolar curves."""
+    band_sigmas: float,
+) -> LikePairs:
+    """Select the pairs of features of two views that are near their epipolar curves."""
     way = (center(states[other]) - center(states[one])).astype(np.float32)
     w, v = (
         turned(states[k], rays).astype(np.float32)
@@ -170,5 +181,45 @@ def matches_along(
     # Only features with a possible match there need to be compared with all that compete.
     possible = np.zeros(len(w), bool)
     possible[alike.first[near(np.flatnonzero(alike.likeness > _least_top(config)))]] = True
-    chosen = near(np.flatnonzero(possible[alike.first]))
-    return RayPairs(one, other, *alike.chosen(chosen).distinct(config.max_ratio))
+    return alike.chosen(near(np.flatnonzero(possible[alike.first])))
+
+
+def matches_along(
+    one: int,
+    other: int,
+    states: FloatArray,
+    alike: LikePairs,
+    config: RelativePoseConfig,
+    band_sigmas: float = BAND,
+) -> RayPairs:
+    """Match the features of two views, those that are alike, near their epipolar curves."""
+    near = alike_along(one, other, states, alike, config, band_sigmas)
+    return RayPairs(one, other, *near.distinct(config.max_ratio))
+
+
+def overlapping(features: Sequence[Features], config: RelativePoseConfig) -> list[Pair]:
+    """
+    Pairs of panoramas to compare: those that show most alike.
+
+    They are few for each panorama, and connect all of them; matches of the strongest features are
+    counted.
+    """
+    count = len(features)
+    pairs = list(combinations(range(count), 2))
+    if count <= _PARTNERS + 1:
+        return pairs
+    strong = [Features(f.rays[:_STRONGEST], f.descriptors[:_STRONGEST]) for f in features]
+    alike = np.zeros((count, count))
+    for i, j in pairs:
+        found = like_pairs(strong[i], strong[j], config).distinct(config.max_ratio)[0]
+        alike[i, j] = alike[j, i] = len(found)
+    # Kruskal's spanning tree, of the most alike first.
+    chosen, group = set[Pair](), np.arange(count)
+    for i, j in sorted(pairs, key=lambda pair: -alike[pair]):
+        if group[i] != group[j]:
+            chosen.add((i, j))
+            group[group == group[j]] = group[i]
+    for k, order in enumerate(np.argsort(-alike, 1, kind='stable')):
+        partners = [int(j) for j in order if j != k][:_PARTNERS]
+        chosen |= {(min(k, j), max(k, j)) for j in partners}
+    return sorted(chosen)

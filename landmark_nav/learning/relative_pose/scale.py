@@ -77,14 +77,15 @@ class PlaceSource:
         jacobian[:, 1:, :3] = whiten.reshape(-1, count - 1, 3)
         return whiten @ off.ravel(), jacobian.reshape(-1, count * STATE)
 
-    def share(self, states: FloatArray) -> ScaleShare:
-        """Scale by this source."""
+    def share(self, states: FloatArray, doubt: FloatArray) -> ScaleShare:
+        """Scale by this source; `doubt` (6 v, q) are errors of the states."""
         rows = self.rows(states)
         scale, sigma = _scale_by(rows, states)
         # Derivative of the scale by each place; a slip moves all later places.
         by_place = sigma**2 * (_growth(states) @ rows[1].T) @ rows[1]
         by_slip = np.cumsum(by_place.reshape(-1, STATE)[:0:-1, :2], axis=0)
         slip = self.places.slip_m * float(np.linalg.norm(by_slip))
+        sigma = float(np.hypot(sigma, np.linalg.norm(by_place @ doubt)))
         return ScaleShare(self.name, scale, sigma, self.inflation, slip=slip)
 
     def inflate(self, states: FloatArray) -> None:
@@ -94,14 +95,9 @@ class PlaceSource:
         Raises `LandmarkNavError`: the poses contradict the panoramas.
         """
         self.inflation = 1.0
-        rows = self.rows(states)
-        scale, sigma = _scale_by(rows, states)
-        misfit = float(rows[0] @ rows[0]) - ((scale - 1.0) / sigma) ** 2
-        freedom = len(rows[0]) - 1
-        if misfit > chdtri(freedom, _CHANCE):
-            self.inflation = misfit / freedom
-            if sigma * np.sqrt(self.inflation) > _MOST_SCALE_SIGMA:
-                raise LandmarkNavError(self._contradiction(states))
+        self.inflation = _inflation(self.rows(states), states, len(self._whiten) - 1)
+        if self.inflation > 1.0 and _scale_by(self.rows(states), states)[1] > _MOST_SCALE_SIGMA:
+            raise LandmarkNavError(self._contradiction(states))
 
     def _contradiction(self, states: FloatArray) -> str:
         """Message that names the sweeps between which the disagreement is largest."""
@@ -120,12 +116,13 @@ class PlaceSource:
         )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class SheetSource:
     """Sheets of one kind, which share errors of their size and of edges in images."""
 
     name: str
     tracks: Sequence[SheetTrack]
+    inflation: float = field(default=1.0, init=False)
 
     @classmethod
     def of_kinds(cls, tracks: Sequence[SheetTrack]) -> list[SheetSource]:
@@ -142,12 +139,31 @@ class SheetSource:
         rows = np.column_stack([off, jacobian.reshape(len(off), -1)])
         rows = np.vstack([rows, np.zeros((count, rows.shape[1]))])
         rows -= basis @ (basis.T @ rows)
+        rows /= np.sqrt(self.inflation)
         return rows[:, 0], rows[:, 1:]
 
-    def share(self, states: FloatArray) -> ScaleShare:
-        """Scale by these sheets."""
-        scale, sigma = _scale_by(self.rows(states), states)
-        return ScaleShare(self.name, scale, sigma, sheets=len(self.tracks))
+    def share(self, states: FloatArray, doubt: FloatArray) -> ScaleShare:
+        """Scale by these sheets, as that of `PlaceSource`."""
+        rows = self.rows(states)
+        scale, sigma = _scale_by(rows, states)
+        by_states = sigma**2 * (_growth(states) @ rows[1].T) @ rows[1]
+        sigma = float(np.hypot(sigma, np.linalg.norm(by_states @ doubt)))
+        return ScaleShare(self.name, scale, sigma, self.inflation, len(self.tracks))
+
+    def inflate(self, states: FloatArray) -> None:
+        """
+        Inflate variances by the misfit as in `PlaceSource`.
+
+        Raises `LandmarkNavError`: the sheets contradict the panoramas.
+        """
+        self.inflation = 1.0
+        freedom = 3 * sum(len(track.views) - 1 for track in self.tracks) - 1
+        self.inflation = _inflation(self.rows(states), states, freedom)
+        if self.inflation > 1.0 and _scale_by(self.rows(states), states)[1] > _MOST_SCALE_SIGMA:
+            raise LandmarkNavError(
+                f'{self.name} contradict each other or the panoramas: check the size given, or '
+                'hang more sheets of it'
+            )
 
 
 Source = PlaceSource | SheetSource
@@ -159,6 +175,13 @@ def _scale_by(rows: Rows, states: FloatArray) -> tuple[float, float]:
     slope = jacobian @ _growth(states)
     information = float(slope @ slope)
     return 1.0 - float(slope @ off) / information, information**-0.5
+
+
+def _inflation(rows: Rows, states: FloatArray, freedom: int) -> float:
+    """Factor on the variances by the misfit, without that of the scale; 1 if by chance."""
+    scale, sigma = _scale_by(rows, states)
+    misfit = float(rows[0] @ rows[0]) - ((scale - 1.0) / sigma) ** 2
+    return misfit / freedom if misfit > chdtri(freedom, _CHANCE) else 1.0
 
 
 def _growth(states: FloatArray) -> FloatArray:
