@@ -42,6 +42,8 @@ _AROUND = 0.1
 # Number of sectors of azimuth whose matches share errors (4 and 6 give much the same), and of
 # draws.
 _SECTORS, _DRAWS = 12, 48
+# Greatest change of a state, in rad and m, that ends the steps; matches that judge samples, or more.
+_CONVERGED, _SCREENED = 1e-5, 300
 _NOTHING = 1e-12
 
 
@@ -74,7 +76,9 @@ def rigid_set(states: FloatArray, pairs: RayPairs, config: RelativePoseConfig) -
     rng, search = np.random.default_rng(0), _Search(states, pairs, config)
     every = np.ones(len(pairs.rays))
     tried = search.samples(rng)
-    support = np.array([search.gains(state, _SHARE).sum() for state in tried])
+    step = 1 + len(pairs.rays) // _SCREENED
+    screen = _Search(states, pairs.chosen(np.arange(len(pairs.rays)) % step == 0), config)
+    support = np.array([screen.gains(state, _SHARE).sum() for state in tried])
     first = np.argsort(-support, kind='stable')[:_REFINED]
     found = [search.refined(state, _SHARE, every) for state in tried[first]]
     gains = np.array([search.gains(*each) for each in found])
@@ -156,9 +160,12 @@ class _Search:
             precision = weight * (inlier @ self._sigmas**-2.0)
             information = self._information + (slope.T * precision) @ slope
             pull = slope.T @ (precision * off) + self._information @ (state - self._prior)
-            state = state - solve_positive(information, pull)
+            step = solve_positive(information, pull)
+            state = state - step
             inside = weight @ inlier.sum(axis=1) / max(weight.sum(), _NOTHING)
             share = float(np.clip(inside, *_SHARES))
+            if np.abs(step).max() < _CONVERGED:
+                break
         return state, share
 
     def _ratios(self, off: FloatArray, before: BoolArray) -> FloatArray:
