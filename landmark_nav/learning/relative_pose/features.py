@@ -7,9 +7,7 @@ SIFT (Lowe, IJCV 60(2), 2004) with the root of its histograms (Arandjelovic and 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import combinations
 
 import cv2
 import numpy as np
@@ -28,8 +26,6 @@ from landmark_nav.types import FloatArray, Panorama
 # Half width of the band about the epipolar curve, in sigmas: poses are not yet exact, and may be
 # displaced by things that moved.
 BAND, WIDE_BAND = 6.0, 12.0
-# Two panoramas.
-Pair = tuple[int, int]
 # Overlap at the seam, and margin to uncovered parts, pixels: the support of a descriptor.
 _SEAM_PX, _MARGIN_PX = 48, 9
 _CONTRAST = 0.01
@@ -38,8 +34,6 @@ _CONTRAST = 0.01
 _LEAST_LIKENESS, _ROWS = 0.78, 512
 # Features nearer to each other are at one place, and no rivals.
 _ONE_PLACE_RAD = 0.01
-# Number of panoramas with which each is compared, and of their features that choose them.
-_PARTNERS, _STRONGEST = 3, 1500
 # Least and greatest range of a match, in lengths of the baseline.
 _NEAREST, _FARTHEST = 0.15, 30.0
 
@@ -195,31 +189,3 @@ def matches_along(
     """Match the features of two views, those that are alike, near their epipolar curves."""
     near = alike_along(one, other, states, alike, config, band_sigmas)
     return RayPairs(one, other, *near.distinct(config.max_ratio))
-
-
-def overlapping(features: Sequence[Features], config: RelativePoseConfig) -> list[Pair]:
-    """
-    Pairs of panoramas to compare: those that show most alike.
-
-    They are few for each panorama, and connect all of them; matches of the strongest features are
-    counted.
-    """
-    count = len(features)
-    pairs = list(combinations(range(count), 2))
-    if count <= _PARTNERS + 1:
-        return pairs
-    strong = [Features(f.rays[:_STRONGEST], f.descriptors[:_STRONGEST]) for f in features]
-    alike = np.zeros((count, count))
-    for i, j in pairs:
-        found = like_pairs(strong[i], strong[j], config).distinct(config.max_ratio)[0]
-        alike[i, j] = alike[j, i] = len(found)
-    # Kruskal's spanning tree, of the most alike first.
-    chosen, group = set[Pair](), np.arange(count)
-    for i, j in sorted(pairs, key=lambda pair: -alike[pair]):
-        if group[i] != group[j]:
-            chosen.add((i, j))
-            group[group == group[j]] = group[i]
-    for k, order in enumerate(np.argsort(-alike, 1, kind='stable')):
-        partners = [int(j) for j in order if j != k][:_PARTNERS]
-        chosen |= {(min(k, j), max(k, j)) for j in partners}
-    return sorted(chosen)

@@ -11,12 +11,13 @@ from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 from functools import partial
 import logging
+from typing import NamedTuple
 
 import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.geometry.se2 import rotation
+from landmark_nav.geometry.se2 import cross, rotation
 from landmark_nav.learning.least_squares import covariance_of, solve_positive
 from landmark_nav.learning.relative_pose.epipolar import (
     EpipolarFit,
@@ -34,10 +35,9 @@ from landmark_nav.learning.relative_pose.features import (
     like_pairs,
     LikePairs,
     matches_along,
-    overlapping,
-    Pair,
     WIDE_BAND,
 )
+from landmark_nav.learning.relative_pose.pairs import by_likeness, Directions, Pair
 from landmark_nav.learning.relative_pose.rigid_sets import rigid_set, RigidSet
 from landmark_nav.learning.relative_pose.scale import (
     contradiction,
@@ -75,6 +75,8 @@ _ODDS_OF_CHANCE, _ODDS_OF_RIVALS, _SHARE_OF_RIVALS = 1e5, 1e3, 0.7
 # Half width of the band in which features are kept for matching, in sigmas: the first poses may be
 # wrong by degrees.
 _KEPT_BAND = 48.0
+# Least sine of the angle at which two ways to a sweep determine its place.
+_LEAST_SINE = 0.3
 # There is no baseline if a rotation alone explains this share of the inliers.
 _NO_BASELINE = 0.8
 # Prior sigmas of x, y, heading (m, m, rad): of the first sweep, which defines the frame, and of
@@ -218,11 +220,15 @@ def _found(
     doubtful: dict[Pair, list[TwoViews]] = {}
     kept: dict[Pair, LikePairs] = {}
     alone = list[Pair]()
-    for i, j in overlapping(features, config):
+    pairs, partners = by_likeness(features, config)
+    known_ways = Directions(len(features))
+    for i, j in pairs:
+        if (i, j) not in partners and not known_ways.lack((i, j)):
+            continue
         alike = like_pairs(features[i], features[j], config)
-        pairs = RayPairs(i, j, *alike.distinct(config.max_ratio))
-        ranked = hypotheses(pairs, config)
-        turn = turn_support(pairs, config.direction_sigma_rad)
+        rays = RayPairs(i, j, *alike.distinct(config.max_ratio))
+        ranked = hypotheses(rays, config)
+        turn = turn_support(rays, config.direction_sigma_rad)
         agreed = ranked[0].support if ranked else 0
         if turn >= max(config.min_matches, _NO_BASELINE * agreed):
             alone.append((i, j))
@@ -235,6 +241,7 @@ def _found(
         rivals = [pose for pose in ranked if pose.evidence > least]
         if len(rivals) == 1:
             found[i, j] = rivals[0]
+            known_ways.add((i, j))
             kept[i, j] = alike_along(0, 1, states_of(rivals[0]), alike, config, _KEPT_BAND)
         else:
             doubtful[i, j] = rivals
@@ -268,39 +275,79 @@ def _placed(
     first: FloatArray,
 ) -> FloatArray:
     """
-    States (v, 6) by the pairs whose sheets, then matches, support them most.
+    States (v, 6), one after the other by the pairs with most support.
 
-    `lengths` are those of baselines, `alone` the pairs without a baseline.
+    They are where ways from two others cross, or as far away as one of the baselines `lengths`.
+    `alone` are pairs without a baseline.
     """
-    states = np.tile(first, (count, 1))
-    placed = {0}
+    states = np.zeros((count, STATE))
+    placed = {max(lengths, key=lambda e: (lengths[e].lead, found[e].support))[0] if lengths else 0}
     while len(placed) < count:
-        ways = [e for e in found if (e[0] in placed) != (e[1] in placed)]
+        ways = {
+            (i, j): _Way.of(states, found[i, j], i, j, i in placed)
+            for i, j in found
+            if (i in placed) != (j in placed)
+        }
         if not ways:
             raise LandmarkNavError(_why_alone(count, placed, doubtful, alone))
-        ways = [e for e in ways if e in lengths]
-        if not ways:
-            alone = next(k for k in range(count) if k not in placed)
+        usable = {}
+        for e, way in ways.items():
+            crossed = way.crossed(states, [w for w in ways.values() if w.new == way.new])
+            if crossed or e in lengths:
+                usable[e] = crossed or lengths[e].length_m
+        if not usable:
+            lacks = next(k for k in range(count) if k not in placed)
             raise LandmarkNavError(
-                f'nothing gives the scale: sweep {alone + 1} shows no sheet of the size given '
+                f'nothing gives the scale: sweep {lacks + 1} shows no sheet of the size given '
                 'that another sweep shows, too: hang sheets that both see, or record odom'
             )
-        i, j = max(ways, key=lambda e: (lengths[e].lead, found[e].support))
-        pose, forward = found[i, j], i in placed
-        near, new = (i, j) if forward else (j, i)
-        turn = pose.heading_rad if forward else -pose.heading_rad
-        heading = states[near, 2] + turn
-        course = pose.direction_rad + (states[i, 2] if forward else heading)
-        course += 0.0 if forward else np.pi
-        way = lengths[i, j].length_m * np.array([np.cos(course), np.sin(course)])
-        states[new, :2] = states[near, :2] + way
-        states[new, 2] = wrap_rad(heading)
-        rise = lengths[i, j].length_m * pose.slope
-        states[new, 3] = states[near, 3] + (rise if forward else -rise)
-        tilt = pose.tilt_rad if forward else -rotation(-turn) @ pose.tilt_rad
-        states[new, 4:] = rotation(-turn) @ states[near, 4:] + tilt
-        placed.add(new)
+        e = max(usable, key=lambda e: found[e].support)
+        way, pose, length = ways[e], found[e], usable[e]
+        states[way.new, :2] = states[way.near, :2] + length * way.along
+        states[way.new, 2] = way.heading_rad
+        states[way.new, 3] = (
+            states[way.near, 3] + (1.0 if way.forward else -1.0) * length * pose.slope
+        )
+        back = rotation(states[way.near, 2] - way.heading_rad)
+        tilt = pose.tilt_rad if way.forward else -back @ pose.tilt_rad
+        states[way.new, 4:] = back @ states[way.near, 4:] + tilt
+        placed.add(way.new)
+    turn = first[2] - states[0, 2]
+    for k, tilt in enumerate(states[:, 4:] - 0.0):
+        states[k, 4:] = tilt - rotation(states[0, 2] - states[k, 2]) @ states[0, 4:]
+    states[:, :2] = first[:2] + (states[:, :2] - states[0, :2]) @ rotation(turn).T
+    states[:, 2] = wrap_rad(states[:, 2] + turn)
+    states[:, 3] += first[3] - states[0, 3]
     return states
+
+
+class _Way(NamedTuple):
+    """Way from a placed view to a new one, by their relative pose or its inverse."""
+
+    near: int
+    new: int
+    forward: bool
+    heading_rad: float
+    along: FloatArray
+
+    @classmethod
+    def of(cls, states: FloatArray, pose: TwoViews, i: int, j: int, forward: bool) -> _Way:
+        near, new = (i, j) if forward else (j, i)
+        here = states[near, 2]
+        heading = here + (pose.heading_rad if forward else -pose.heading_rad)
+        course = pose.direction_rad + (here if forward else heading + np.pi)
+        return cls(near, new, forward, heading, np.array([np.cos(course), np.sin(course)]))
+
+    def crossed(self, states: FloatArray, others: Sequence[_Way]) -> float:
+        """Length at which the way that meets this at the largest angle does so; 0 if none does."""
+        best, length = _LEAST_SINE, 0.0
+        for other in others:
+            sine = float(cross(self.along, other.along))
+            gap = states[other.near, :2] - states[self.near, :2]
+            if abs(sine) > best and cross(gap, self.along) / sine > 0.0:
+                reach = float(cross(gap, other.along)) / sine
+                best, length = (abs(sine), reach) if reach > 0.0 else (best, length)
+        return length
 
 
 def _why_alone(

@@ -42,7 +42,7 @@ _AROUND = 0.1
 # Number of sectors of azimuth whose matches share errors (4 and 6 give much the same), and of
 # draws.
 _SECTORS, _DRAWS = 12, 48
-# Greatest change of a state, in rad and m, that ends the steps; matches that judge samples, or more.
+# Greatest change of a state, in rad and m, that ends the steps; fewest matches that judge samples.
 _CONVERGED, _SCREENED = 1e-5, 300
 _NOTHING = 1e-12
 

@@ -2,7 +2,7 @@
 Sheets of a known size in several panoramas: points with a measured range.
 
 The correspondence of candidates is unknown, and some are not sheets. Two views of one sheet give
-the length of the baseline; the length with the most sheets is taken, or one scale of all baselines.
+the length of the baseline; the likeliest is taken, or one scale of all baselines.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import product
-from operator import itemgetter
 from typing import NamedTuple
 
 import numpy as np
@@ -29,6 +28,9 @@ ROUGH, FINE = 0.006, 0.0015
 # Significance at which two views show different sheets; greatest difference of equal lengths, in
 # sigmas; greatest relative sigma of a useful length.
 _CHANCE, _SAME_SIGMAS, _MOST_SIGMA = 1e-3, 3.0, 0.1
+# By chance, a scale is anywhere within a factor of ten to either side: the width of its logarithm.
+# Odds by which a scale must be likelier than another.
+_BY_CHANCE, _ODDS = 2.0 * np.log(10.0), 3.0
 # Number of directions that a sheet may face, which are tried.
 _SLANTS = 2881
 
@@ -55,20 +57,51 @@ class SheetTrack:
 
 
 class Length(NamedTuple):
-    """Length of a baseline by sheets; `lead` is how many more support it than another length."""
+    """Length of a baseline by sheets, and logarithm of its odds to another length."""
 
     length_m: float
-    lead: int
+    lead: float
 
 
 @dataclass(frozen=True)
 class _Pair:
-    """One sheet in two views: the scale of their baseline by it, with its sigma."""
+    """One sheet in two views: logarithm of the scale of their baseline by it, and its sigma."""
 
     one: _Seen
     other: _Seen
     scale: float
     sigma: float
+
+    def gain(self, scale: float) -> float:
+        """Logarithm of the likelihood ratio of a scale to chance."""
+        peak = _BY_CHANCE / (np.sqrt(2.0 * np.pi) * self.sigma)
+        return float(np.log(peak) - 0.5 * ((self.scale - scale) / self.sigma) ** 2)
+
+
+@dataclass(frozen=True)
+class _Group:
+    """Pairs that agree on a scale."""
+
+    pairs: tuple[_Pair, ...] = ()
+
+    @property
+    def _weight(self) -> FloatArray:
+        return np.array([pair.sigma**-2 for pair in self.pairs])
+
+    @property
+    def scale(self) -> float:
+        """Weighted mean of the logarithm of the scale."""
+        return float(np.average([pair.scale for pair in self.pairs], weights=self._weight))
+
+    @property
+    def evidence(self) -> float:
+        """Logarithm of the likelihood ratio to chance, over all scales: 0 for a single pair."""
+        if not self.pairs:
+            return 0.0
+        sigma = np.sqrt(2.0 * np.pi / self._weight.sum())
+        return sum(pair.gain(self.scale) for pair in self.pairs) + float(
+            np.log(sigma / _BY_CHANCE)
+        )
 
 
 def sheet_tracks(
@@ -115,29 +148,19 @@ def sheet_tracks(
             for way in _ways(kind, sheets, pair, found[pair], unit, pose_sigma_rad)
         ]
         best, rival = _agreed(ways)
-        if len(rival) < len(best):
-            links += [(way.one, way.other) for way in best]
-        elif best:
-            i, j = best[0].one[0], best[0].other[0]
-            apart = ' and '.join(
-                f'{group[0].scale * units[i, j]:.2f} m' for group in (best, rival)
-            )
+        lead = best.evidence - rival.evidence
+        if rival.pairs and lead < np.log(_ODDS):
+            i, j = best.pairs[0].one[0], best.pairs[0].other[0]
+            apart = [f'{np.exp(group.scale) * units[i, j]:.2f} m' for group in (best, rival)]
             undecided.append(
-                f'sheets that sweeps {i + 1} and {j + 1} both show say that these are {apart} '
-                'apart: check the size given, or hang more sheets of it'
+                f'sheets that sweeps {i + 1} and {j + 1} both show say that these are '
+                f'{" and ".join(apart)} apart: check the size given, or hang more sheets of it'
             )
             continue
-        for pair, unit in units.items():
-            of_pair = [way for way in best if (way.one[0], way.other[0]) == pair]
-            if of_pair:
-                weight = [way.sigma**-2 for way in of_pair]
-                scale = float(np.average([way.scale for way in of_pair], weights=weight))
-                lead = len(best) - len(rival)
-                lengths[pair] = max(
-                    lengths.get(pair, Length(0.0, 0)),
-                    Length(unit * scale, lead),
-                    key=itemgetter(1),
-                )
+        links += [(way.one, way.other) for way in best.pairs]
+        for i, j in {(way.one[0], way.other[0]) for way in best.pairs}:
+            if (i, j) not in lengths or lead > lengths[i, j].lead:
+                lengths[i, j] = Length(float(np.exp(best.scale)) * units[i, j], lead)
     if undecided and not lengths:
         raise LandmarkNavError(undecided[0])
     tracks = []
@@ -154,15 +177,15 @@ def sheet_tracks(
     return tracks, lengths
 
 
-def _agreed(pairs: Sequence[_Pair]) -> tuple[list[_Pair], list[_Pair]]:
-    """Most views of sheets that agree on the scale, and most of the others that do."""
-    if not pairs:
-        return [], []
-    groups = [_distinct([p for p in pairs if _same(p, about)]) for about in pairs]
-    best = max(groups, key=lambda group: (len(group), -min(p.sigma for p in group)))
-    rest = [p for p in pairs if p not in best and not any(_same(p, q) for q in best)]
-    rival = max((_distinct([p for p in rest if _same(p, q)]) for q in rest), key=len, default=[])
-    return best, rival
+def _agreed(pairs: Sequence[_Pair]) -> tuple[_Group, _Group]:
+    """Views of sheets that agree on the likeliest scale, and on the likeliest other scale."""
+
+    def likeliest(among: Sequence[_Pair]) -> _Group:
+        groups = [_distinct([p for p in among if p.gain(q.scale) > 0.0]) for q in among]
+        return max(groups, key=lambda group: group.evidence, default=_Group())
+
+    best = likeliest(pairs)
+    return best, likeliest([p for p in pairs if not any(_same(p, q) for q in best.pairs)])
 
 
 def _ways(
@@ -197,7 +220,7 @@ def _ways(
             and length > 0.0
             and sigma < _MOST_SIGMA * length
         ):
-            yield _Pair((i, a), (j, b), length / unit, sigma / unit)
+            yield _Pair((i, a), (j, b), float(np.log(length / unit)), sigma / length)
 
 
 def _hidden(first: SheetView, second: SheetView, there: FloatArray) -> float:
@@ -219,7 +242,7 @@ def _same(one: _Pair, other: _Pair) -> bool:
     return bool(apart < _SAME_SIGMAS * np.hypot(one.sigma, other.sigma))
 
 
-def _distinct(pairs: list[_Pair]) -> list[_Pair]:
+def _distinct(pairs: Sequence[_Pair]) -> _Group:
     """The most certain of the pairs that share a view of a sheet with the same other view."""
     kept: list[_Pair] = []
     taken = set[tuple[_Seen, int]]()
@@ -228,7 +251,7 @@ def _distinct(pairs: list[_Pair]) -> list[_Pair]:
         if not ends & taken:
             kept.append(pair)
             taken |= ends
-    return kept
+    return _Group(tuple(kept))
 
 
 def _groups(
