@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import colorsys
 from dataclasses import replace
+from itertools import combinations
 
 import cv2
 import numpy as np
@@ -16,7 +17,7 @@ from landmark_nav.geometry.walls import NAMED_HUES_DEG, paper_bgr
 from landmark_nav.learning.panorama.synthesis import CylinderImage
 from landmark_nav.learning.reference_area.blobs import ColorSearch, hue_direction
 from landmark_nav.learning.reference_area.edges import locate_edges, PROFILES
-from landmark_nav.learning.relative_pose.epipolar import center
+from landmark_nav.learning.relative_pose.epipolar import center, STATE
 from landmark_nav.learning.relative_pose.scale import (
     odd_source,
     PlaceSource,
@@ -25,7 +26,7 @@ from landmark_nav.learning.relative_pose.scale import (
     SheetSource,
 )
 from landmark_nav.learning.relative_pose.sheet_tracks import FINE, sheet_misses, sheet_tracks
-from landmark_nav.learning.relative_pose.two_views import TwoViews
+from landmark_nav.learning.relative_pose.two_views import two_views_of, TwoViews
 from landmark_nav.learning.sheets import find_sheets, SheetsConfig, SheetView
 from landmark_nav.types import Panorama, PlaceChain
 
@@ -159,6 +160,37 @@ def test_a_pair_whose_sheets_contradict_each_other_is_left_out_if_another_pair_s
         seen.append(replace(seen[0], name='b', position=0.7 * seen[0].position))
     found = {(0, 1): true_pose(), (2, 3): true_pose()}
     assert list(sheet_tracks(sheets, found, FINE)[1]) == [(2, 3)]
+
+
+def test_false_sheets_of_one_pair_do_not_change_the_scale_of_all():
+    rng = np.random.default_rng(5)
+    states = np.vstack([STATES, [2.4, -0.9, -2.0, 1.1, 0.0, 0.0]])
+    sheets = [views(state, rng) for state in states]
+    for seen, state in zip(sheets[:2], states, strict=False):
+        seen[2:] = views(state, rng, size=0.45)  # posters that only two sweeps show
+    found = {pair: two_views_of(states, *pair) for pair in combinations(range(3), 2)}
+    ways = {(i, j): float(np.hypot(*(states[j] - states[i])[:2])) for i, j in found}
+    assert sheet_tracks(sheets, found, FINE)[1][0, 1].length_m > 1.5 * ways[0, 1]
+    tracks, lengths = sheet_tracks(sheets, found, FINE, ways)
+    share = SheetSource('papers', tracks).share(states, np.zeros((states.size, 1)))
+    assert abs(share.scale - 1.0) < 3.0 * share.sigma < 0.05
+    assert {pair: length.length_m for pair, length in lengths.items()} == pytest.approx(
+        ways, rel=0.02
+    )
+
+
+def test_sheets_that_contradict_the_poses_are_less_certain():
+    wrong = STATES.copy()
+    wrong[1, 2] += 0.02
+    source = papers(2)
+    source.inflate(wrong)
+    contradicted = source.share(wrong, NO_DOUBT)
+    source.inflate(STATES)
+    assert source.share(STATES, NO_DOUBT).inflation == 1.0 < contradicted.inflation
+    # Doubt of the poses is doubt of the scale.
+    turned = np.zeros((STATES.size, 1))
+    turned[STATE + 2] = 0.01
+    assert source.share(STATES, turned).sigma > source.share(STATES, NO_DOUBT).sigma
 
 
 def test_the_scale_that_sheets_give_is_consistent():

@@ -1,23 +1,20 @@
 """
 Poses of all sweeps: the shape from the panoramas, the scale from other sources.
 
-Pairs of panoramas give headings and directions. The best pairs give initial poses of all sweeps,
-which are then fitted to all matches at once.
+Pairs of panoramas give headings and directions. These give initial poses of all sweeps, which are
+then fitted to all matches at once.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
 import logging
-from typing import NamedTuple
 
 import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.geometry.se2 import cross, rotation
 from landmark_nav.learning.least_squares import covariance_of, solve_positive
 from landmark_nav.learning.relative_pose.epipolar import (
     EpipolarFit,
@@ -38,6 +35,7 @@ from landmark_nav.learning.relative_pose.features import (
     WIDE_BAND,
 )
 from landmark_nav.learning.relative_pose.pairs import by_likeness, Directions, Pair
+from landmark_nav.learning.relative_pose.placing import placed
 from landmark_nav.learning.relative_pose.rigid_sets import rigid_set, RigidSet
 from landmark_nav.learning.relative_pose.scale import (
     contradiction,
@@ -75,8 +73,6 @@ _ODDS_OF_CHANCE, _ODDS_OF_RIVALS, _SHARE_OF_RIVALS = 1e5, 1e3, 0.7
 # Half width of the band in which features are kept for matching, in sigmas: the first poses may be
 # wrong by degrees.
 _KEPT_BAND = 48.0
-# Least sine of the angle at which two ways to a sweep determine its place.
-_LEAST_SINE = 0.3
 # There is no baseline if a rotation alone explains this share of the inliers.
 _NO_BASELINE = 0.8
 # Prior sigmas of x, y, heading (m, m, rad): of the first sweep, which defines the frame, and of
@@ -252,7 +248,7 @@ def _found(
     first = np.zeros(STATE)
     first[:3] = known[0].poses[0] if known else [*lever[:2], 0.0]
     first[3] = lever[2]
-    states = _placed(len(features), found, doubtful, alone, lengths, first)
+    states = placed(len(features), found, doubtful, alone, lengths, first)
     for i, j in doubtful:
         kept[i, j] = _alike(i, j, features, states, config)
     return states, kept
@@ -264,121 +260,6 @@ def _alike(
     """Pairs of features that may be matches by the states; all of them take much memory."""
     alike = like_pairs(features[i], features[j], config)
     return alike_along(i, j, states, alike, config, _KEPT_BAND)
-
-
-def _placed(
-    count: int,
-    found: Mapping[Pair, TwoViews],
-    doubtful: Mapping[Pair, Sequence[TwoViews]],
-    alone: Sequence[Pair],
-    lengths: Mapping[Pair, Length],
-    first: FloatArray,
-) -> FloatArray:
-    """
-    States (v, 6), one after the other by the pairs with most support.
-
-    They are where ways from two others cross, or as far away as one of the baselines `lengths`.
-    `alone` are pairs without a baseline.
-    """
-    states = np.zeros((count, STATE))
-    placed = {max(lengths, key=lambda e: (lengths[e].lead, found[e].support))[0] if lengths else 0}
-    while len(placed) < count:
-        ways = {
-            (i, j): _Way.of(states, found[i, j], i, j, i in placed)
-            for i, j in found
-            if (i in placed) != (j in placed)
-        }
-        if not ways:
-            raise LandmarkNavError(_why_alone(count, placed, doubtful, alone))
-        usable = {}
-        for e, way in ways.items():
-            crossed = way.crossed(states, [w for w in ways.values() if w.new == way.new])
-            if crossed or e in lengths:
-                usable[e] = crossed or lengths[e].length_m
-        if not usable:
-            lacks = next(k for k in range(count) if k not in placed)
-            raise LandmarkNavError(
-                f'nothing gives the scale: sweep {lacks + 1} shows no sheet of the size given '
-                'that another sweep shows, too: hang sheets that both see, or record odom'
-            )
-        e = max(usable, key=lambda e: found[e].support)
-        way, pose, length = ways[e], found[e], usable[e]
-        states[way.new, :2] = states[way.near, :2] + length * way.along
-        states[way.new, 2] = way.heading_rad
-        states[way.new, 3] = (
-            states[way.near, 3] + (1.0 if way.forward else -1.0) * length * pose.slope
-        )
-        back = rotation(states[way.near, 2] - way.heading_rad)
-        tilt = pose.tilt_rad if way.forward else -back @ pose.tilt_rad
-        states[way.new, 4:] = back @ states[way.near, 4:] + tilt
-        placed.add(way.new)
-    turn = first[2] - states[0, 2]
-    for k, tilt in enumerate(states[:, 4:] - 0.0):
-        states[k, 4:] = tilt - rotation(states[0, 2] - states[k, 2]) @ states[0, 4:]
-    states[:, :2] = first[:2] + (states[:, :2] - states[0, :2]) @ rotation(turn).T
-    states[:, 2] = wrap_rad(states[:, 2] + turn)
-    states[:, 3] += first[3] - states[0, 3]
-    return states
-
-
-class _Way(NamedTuple):
-    """Way from a placed view to a new one, by their relative pose or its inverse."""
-
-    near: int
-    new: int
-    forward: bool
-    heading_rad: float
-    along: FloatArray
-
-    @classmethod
-    def of(cls, states: FloatArray, pose: TwoViews, i: int, j: int, forward: bool) -> _Way:
-        near, new = (i, j) if forward else (j, i)
-        here = states[near, 2]
-        heading = here + (pose.heading_rad if forward else -pose.heading_rad)
-        course = pose.direction_rad + (here if forward else heading + np.pi)
-        return cls(near, new, forward, heading, np.array([np.cos(course), np.sin(course)]))
-
-    def crossed(self, states: FloatArray, others: Sequence[_Way]) -> float:
-        """Length at which the way that meets this at the largest angle does so; 0 if none does."""
-        best, length = _LEAST_SINE, 0.0
-        for other in others:
-            sine = float(cross(self.along, other.along))
-            gap = states[other.near, :2] - states[self.near, :2]
-            if abs(sine) > best and cross(gap, self.along) / sine > 0.0:
-                reach = float(cross(gap, other.along)) / sine
-                best, length = (abs(sine), reach) if reach > 0.0 else (best, length)
-        return length
-
-
-def _why_alone(
-    count: int,
-    placed: Set[int],
-    doubtful: Mapping[Pair, Sequence[TwoViews]],
-    alone: Sequence[Pair],
-) -> str:
-    """Say what keeps a sweep from being placed."""
-    for i, j in alone:
-        if (i in placed) != (j in placed):
-            return (
-                f'the panoramas of sweeps {i + 1} and {j + 1} are from one place: take another '
-                'sweep 1 to 3 m away'
-            )
-    for (i, j), (best, second, *_) in doubtful.items():
-        if (i in placed) != (j in placed):
-            ways = ' or '.join(
-                f'{np.degrees(p.heading_rad):.0f} deg (way at {np.degrees(p.direction_rad):.0f})'
-                for p in (best, second)
-            )
-            return (
-                f'sweeps {i + 1} and {j + 1} may be turned by {ways}: {best.support} and '
-                f'{second.support} matches agree; take a sweep between them that sees more sides '
-                'of the room'
-            )
-    alone = next(k for k in range(count) if k not in placed)
-    return (
-        f'the panorama of sweep {alone + 1} shares too little with the others: take '
-        'sweeps 1 to 2 m apart that see the same textured walls'
-    )
 
 
 def _fitted(
@@ -394,8 +275,8 @@ def _fitted(
     covariance, states = _prior_covariance(len(start), config), start
     places = [PlaceSource(chain) for chain in known]
     # Before the first fit, too: wrong poses would move the panoramas to matches that fit them.
-    for source in places:
-        source.inflate(states)
+    for place in places:
+        place.inflate(states)
     fitted = partial(fit_poses, prior=prior, prior_covariance=covariance)
     rigid: list[RigidSet] = []
     precise = config.feature_sigma_rad
@@ -446,7 +327,7 @@ def _doubt(
     _, known = stacked(sources)(fit.states)
     information = solve_positive(_prior_covariance(len(fit.states), config), np.eye(size))
     information += known.T @ known
-    pull = 0.0
+    pull = np.zeros((size, rigid[0].loading.shape[1]))
     for p, agrees, found in zip(pairs, fit.agrees, rigid, strict=True):
         inliers = p.chosen(agrees)
         _, slopes, _ = misses(fit.states, inliers, sigma_rad)
@@ -454,7 +335,7 @@ def _doubt(
         jacobian[:, p.one], jacobian[:, p.other] = slopes[:, 0], slopes[:, 1]
         flat = jacobian.reshape(len(slopes), size)
         information += flat.T @ flat
-        pull = pull + flat.T @ (slopes[:, 1] @ found.loading)
+        pull += flat.T @ (slopes[:, 1] @ found.loading)
     return np.asarray(solve_positive(information, pull))
 
 
