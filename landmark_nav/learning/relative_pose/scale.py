@@ -58,10 +58,6 @@ class PlaceSource:
     places: PlaceChain
     inflation: float = field(default=1.0, init=False)
 
-    def __post_init__(self) -> None:
-        """Whiten all poses but the first, which defines the frame."""
-        self._whiten = np.linalg.inv(root_of(self.places.covariance[3:, 3:]))
-
     @property
     def name(self) -> str:
         """Name of the source."""
@@ -69,23 +65,35 @@ class PlaceSource:
 
     def rows(self, states: FloatArray) -> Rows:
         """Residuals (m,) in sigmas and their derivatives (m, 6 v)."""
+        return self._rows(states, self.places.slip_m)
+
+    def _rows(self, states: FloatArray, slip_m: float) -> Rows:
+        """Rows of all poses but the first, which defines the frame, with slips of this sigma."""
         count = len(states)
         off = states[1:, :3] - self.places.poses[1:]
         off[:, 2] = wrap_rad(off[:, 2])
-        whiten = self._whiten / np.sqrt(self.inflation)
+        slips = slip_m * self._by_slip(count)
+        covariance = self.inflation * self.places.covariance[3:, 3:] + slips @ slips.T
+        whiten = np.linalg.inv(root_of(covariance))
         jacobian = np.zeros((len(whiten), count, STATE))
         jacobian[:, 1:, :3] = whiten.reshape(-1, count - 1, 3)
         return whiten @ off.ravel(), jacobian.reshape(-1, count * STATE)
+
+    @staticmethod
+    def _by_slip(count: int) -> FloatArray:
+        """Change of all poses but the first by slips of the ways: one moves all later poses."""
+        return np.asarray(np.kron(np.tri(count - 1), np.eye(3)[:, :2]), dtype=np.float64)
 
     def share(self, states: FloatArray, doubt: FloatArray) -> ScaleShare:
         """Scale by this source; `doubt` (6 v, q) are errors of the states."""
         rows = self.rows(states)
         scale, sigma = _scale_by(rows, states)
-        # Derivative of the scale by each place; a slip moves all later places.
-        by_place = sigma**2 * (_growth(states) @ rows[1].T) @ rows[1]
-        by_slip = np.cumsum(by_place.reshape(-1, STATE)[:0:-1, :2], axis=0)
-        slip = self.places.slip_m * float(np.linalg.norm(by_slip))
-        sigma = float(np.hypot(sigma, np.linalg.norm(by_place @ doubt)))
+        # Derivative of the scale by each state.
+        by_states = sigma**2 * (_growth(states) @ rows[1].T) @ rows[1]
+        by_places = by_states.reshape(-1, STATE)[1:, :3].ravel()
+        slip = self.places.slip_m * float(np.linalg.norm(by_places @ self._by_slip(len(states))))
+        own = self.inflation * by_places @ self.places.covariance[3:, 3:] @ by_places
+        sigma = float(np.sqrt(own + np.sum((by_states @ doubt) ** 2)))
         return ScaleShare(self.name, scale, sigma, self.inflation, slip=slip)
 
     def inflate(self, states: FloatArray) -> None:
@@ -94,9 +102,14 @@ class PlaceSource:
 
         Raises `LandmarkNavError`: the poses contradict the panoramas.
         """
+        # Slips are rare: what they would explain is not taken for granted.
         self.inflation = 1.0
-        self.inflation = _inflation(self.rows(states), states, len(self._whiten) - 1)
-        if self.inflation > 1.0 and _scale_by(self.rows(states), states)[1] > _MOST_SCALE_SIGMA:
+        rows = self._rows(states, 0.0)
+        self.inflation = _inflation(rows, states, len(rows[0]) - 1)
+        if (
+            self.inflation > 1.0
+            and _scale_by(self._rows(states, 0.0), states)[1] > _MOST_SCALE_SIGMA
+        ):
             raise LandmarkNavError(self._contradiction(states))
 
     def _contradiction(self, states: FloatArray) -> str:
