@@ -146,8 +146,9 @@ def alike_along(
     alike: LikePairs,
     config: RelativePoseConfig,
     band_sigmas: float,
+    in_range: bool = False,
 ) -> LikePairs:
-    """Select the pairs of features of two views that are near their epipolar curves."""
+    """Select the pairs of features of two views near their epipolar curves, and in range there."""
     way = (center(states[other]) - center(states[one])).astype(np.float32)
     w, v = (
         turned(states[k], rays).astype(np.float32)
@@ -158,13 +159,15 @@ def alike_along(
     length = float(np.hypot(way[0], way[1]))
 
     def near(which: IndexArray) -> IndexArray:
-        """Pairs, of those given, that are near their curves and in range."""
+        """Pairs, of those given, that are near their curves and, if asked, in range."""
         i, j = alike.first[which], alike.second[which]
         off = np.einsum('nk,nk->n', by_v[i], v[j])
         variance = cross(w[i], by_w[j]) ** 2 + cross(v[j], by_v[i]) ** 2
         variance += by_w[j, 2] ** 2 + by_v[i, 2] ** 2
         inside = off**2 < band**2 * variance
         which, i, j = which[inside], i[inside], j[inside]
+        if not in_range:
+            return np.asarray(which)
         parallax, inside = cross(w[i], v[j]), np.ones(len(i), bool)
         with np.errstate(divide='ignore', invalid='ignore'):
             for ahead in (cross(way, v)[j], cross(way, w)[i]):
@@ -187,5 +190,5 @@ def matches_along(
     band_sigmas: float = BAND,
 ) -> RayPairs:
     """Match the features of two views, those that are alike, near their epipolar curves."""
-    near = alike_along(one, other, states, alike, config, band_sigmas)
+    near = alike_along(one, other, states, alike, config, band_sigmas, in_range=True)
     return RayPairs(one, other, *near.distinct(config.max_ratio))
