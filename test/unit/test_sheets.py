@@ -179,6 +179,13 @@ def test_false_sheets_of_one_pair_do_not_change_the_scale_of_all():
     )
 
 
+def test_a_sheet_of_another_size_is_left_out_of_several():
+    right, wrong = papers(1).tracks, papers(1, size=0.9).tracks
+    kept = SheetSource('papers', [*right, wrong[0]]).agreeing(STATES)
+    assert [id(track) for track in kept.tracks] == [id(track) for track in right]
+    assert len(SheetSource('papers', [right[0], wrong[0]]).agreeing(STATES).tracks) == 2
+
+
 def test_sheets_that_contradict_the_poses_are_less_certain():
     wrong = STATES.copy()
     wrong[1, 2] += 0.02

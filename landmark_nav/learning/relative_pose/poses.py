@@ -285,7 +285,8 @@ def _fitted(
         ways = {(i, j): float(np.hypot(*(states[j] - states[i])[:2])) for i, j in matched}
         rough = FINE if number else ROUGH
         tracks = sheet_tracks(sheets, poses, rough, ways)[0] if sheets else []
-        sources: list[Source] = [*places, *SheetSource.of_kinds(tracks)]
+        seen = SheetSource.of_kinds(tracks)
+        sources: list[Source] = [*places, *(k.agreeing(states) if number else k for k in seen)]
         if number:
             for source in sources:
                 source.inflate(states)

@@ -143,6 +143,17 @@ class SheetSource:
         kinds = sorted({track.kind for track in tracks})
         return [cls(kind, [t for t in tracks if t.kind == kind]) for kind in kinds]
 
+    def agreeing(self, states: FloatArray) -> SheetSource:
+        """Leave out sheets whose scale contradicts that of most others: they have another size."""
+        single = [SheetSource(self.name, [track]).rows(states) for track in self.tracks]
+        scale, sigma = np.array([_scale_by(rows, states) for rows in single]).T
+        apart = np.abs(scale - scale[:, None]) > _MOST_SIGMAS * np.hypot(sigma, sigma[:, None])
+        alike = (~apart).sum(axis=0)
+        kept = ~apart[int(np.lexsort((sigma, -alike))[0])]
+        if 2 * np.count_nonzero(kept) <= len(kept):
+            return self
+        return SheetSource(self.name, [t for t, k in zip(self.tracks, kept, strict=True) if k])
+
     def rows(self, states: FloatArray) -> Rows:
         """Rows as in `PlaceSource`; shared errors, each with a prior, are eliminated."""
         found = [sheet_misses(states, track) for track in self.tracks]
