@@ -1,6 +1,7 @@
 """Relative poses of panoramas: known poses are recovered from matches, or refused."""
 
 from dataclasses import replace
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -16,6 +17,7 @@ from landmark_nav.learning.relative_pose.epipolar import (
     STATE,
 )
 from landmark_nav.learning.relative_pose.features import Features
+from landmark_nav.learning.relative_pose.pairs import Directions
 from landmark_nav.learning.relative_pose.poses import relative_poses
 from landmark_nav.learning.relative_pose.rigid_sets import rigid_set
 from landmark_nav.types import PlaceChain
@@ -89,6 +91,51 @@ def test_poses_are_recovered_and_scale_is_that_of_odometry(count):
     ways = [np.linalg.norm(p[1:, :2], axis=1) for p in (result.states, poses, longer)]
     assert ways[0] / ways[1] == pytest.approx(ways[2] / ways[1], abs=0.01)
     assert result.scales[0].inflation == 1.0
+
+
+MANY = np.array(
+    [[0.0, 0.0, 0.0], [2.6, 0.9, 2.0], [0.3, -0.5, -1.0], [2.9, 0.2, 0.4], [0.6, 0.3, 3.0],
+     [2.4, 0.3, -2.0], [0.2, 0.6, 1.0]]
+)  # fmt: skip
+
+
+@pytest.mark.parametrize('seed', [1, 2])
+def test_sweeps_in_any_order_and_in_groups_are_placed(seed):
+    poses = MANY.copy()
+    poses[1:] = np.random.default_rng(seed).permutation(poses[1:])
+    result = found(poses, poses, seed)
+    assert len(result.pairs) >= 2 * len(poses) - 3
+    ways = [np.linalg.norm(p[1:, :2], axis=1) for p in (result.states, poses)]
+    assert np.abs(ways[0] / ways[1] - 1.0).max() < 0.03
+    assert np.abs(np.degrees(directions_off(result.states, poses))).max() < 0.4
+
+
+def test_more_pairs_do_not_average_what_all_of_them_share():
+    sigma = []
+    for count in (2, 5):
+        rng = np.random.default_rng(9)
+        points = room_points(rng, 300)
+        seen = np.stack([points] * count)
+        seen[1:, points[:, 0] > 4.99, 1] += 0.1  # moved after the first sweep
+        panoramas = features(MANY[:count], seen, rng)
+        result = relative_poses(panoramas, [odometry(MANY[:count])], LEVER, CONFIG)
+        sigma.append(np.linalg.norm(result.doubt[2::STATE], axis=1)[1])
+        turn = wrap_rad(result.states[1, 2] - MANY[1, 2])
+        assert abs(turn) < 3.0 * np.hypot(np.radians(0.1), sigma[-1])
+    assert sigma[1] > 0.6 * sigma[0]
+
+
+def test_directions_determine_a_shape_if_there_are_enough_between_groups():
+    first, second = list(combinations(range(4), 2)), list(combinations(range(4, 8), 2))
+    directions = Directions(8)
+    for pair in [*first, *second]:
+        directions.add(pair)
+    assert not any(directions.lack(pair) for pair in [*first, *second])
+    between = [(0, 4), (1, 5), (2, 6)]
+    for pair in between:
+        assert directions.lack(pair)
+        directions.add(pair)
+    assert not any(directions.lack(pair) for pair in combinations(range(8), 2))
 
 
 @pytest.mark.parametrize('moved_m', [0.1, 0.2])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import colorsys
 from dataclasses import replace
+from itertools import combinations
 
 from builders import panorama_of
 import cv2
@@ -17,7 +18,7 @@ from landmark_nav.geometry.walls import NAMED_HUES_DEG, paper_bgr
 from landmark_nav.learning.panorama.synthesis import CylinderImage
 from landmark_nav.learning.reference_area.blobs import ColorSearch, hue_direction
 from landmark_nav.learning.reference_area.edges import locate_edges, PROFILES
-from landmark_nav.learning.relative_pose.epipolar import center
+from landmark_nav.learning.relative_pose.epipolar import center, STATE
 from landmark_nav.learning.relative_pose.scale import (
     odd_source,
     PlaceSource,
@@ -26,7 +27,7 @@ from landmark_nav.learning.relative_pose.scale import (
     SheetSource,
 )
 from landmark_nav.learning.relative_pose.sheet_tracks import FINE, sheet_misses, sheet_tracks
-from landmark_nav.learning.relative_pose.two_views import TwoViews
+from landmark_nav.learning.relative_pose.two_views import two_views_of, TwoViews
 from landmark_nav.learning.sheets import find_sheets, SheetsConfig, SheetView
 from landmark_nav.types import PlaceChain
 
@@ -90,6 +91,7 @@ def test_a_marker_is_found_with_its_number(slant_rad, azimuth):
 
 
 STATES = np.array([[0.08, 0, 0, 1.1, 0, 0], [1.77, 0.64, 0.5, 1.102, 0.004, -0.003]])
+NO_DOUBT = np.zeros((STATES.size, 1))
 SHEETS = np.array([[2.0, -1.8, 1.6], [3.1, 1.2, 1.4], [0.6, 2.1, 1.7]])
 
 
@@ -133,7 +135,7 @@ def test_sheets_that_look_alike_are_distinguished_and_false_ones_left_out():
     tracks, lengths = sheet_tracks(sheets, {(0, 1): true_pose()}, FINE)
     assert len(tracks) == len(SHEETS)
     way = np.linalg.norm(center(STATES[1]) - center(STATES[0]))
-    assert lengths[0, 1] == pytest.approx(way, rel=0.01)
+    assert lengths[0, 1].length_m == pytest.approx(way, rel=0.01)
 
 
 def test_a_pair_whose_sheets_contradict_each_other_is_refused_unless_another_shows_some():
@@ -147,8 +149,46 @@ def test_a_pair_whose_sheets_contradict_each_other_is_refused_unless_another_sho
     assert list(sheet_tracks(sheets, found, FINE)[1]) == [(2, 3)]
 
 
+def test_false_sheets_of_one_pair_do_not_change_the_scale_of_all():
+    rng = np.random.default_rng(5)
+    states = np.vstack([STATES, [2.4, -0.9, -2.0, 1.1, 0.0, 0.0]])
+    sheets = [views(state, rng) for state in states]
+    for seen, state in zip(sheets[:2], states, strict=False):
+        seen[2:] = views(state, rng, size=0.45)  # posters that only two sweeps show
+    found = {pair: two_views_of(states, *pair) for pair in combinations(range(3), 2)}
+    ways = {(i, j): float(np.hypot(*(states[j] - states[i])[:2])) for i, j in found}
+    assert sheet_tracks(sheets, found, FINE)[1][0, 1].length_m > 1.5 * ways[0, 1]
+    tracks, lengths = sheet_tracks(sheets, found, FINE, ways)
+    share = SheetSource('papers', tracks).share(states, np.zeros((states.size, 1)))
+    assert abs(share.scale - 1.0) < 3.0 * share.sigma < 0.05
+    assert {pair: length.length_m for pair, length in lengths.items()} == pytest.approx(
+        ways, rel=0.02
+    )
+
+
+def test_a_sheet_of_another_size_is_left_out_of_several():
+    right, wrong = papers(1).tracks, papers(1, size=0.9).tracks
+    kept = SheetSource('papers', [*right, wrong[0]]).agreeing(STATES)
+    assert [id(track) for track in kept.tracks] == [id(track) for track in right]
+    assert len(SheetSource('papers', [right[0], wrong[0]]).agreeing(STATES).tracks) == 2
+
+
+def test_sheets_that_contradict_the_poses_are_less_certain():
+    wrong = STATES.copy()
+    wrong[1, 2] += 0.02
+    source = papers(2)
+    source.inflate(wrong)
+    contradicted = source.share(wrong, NO_DOUBT)
+    source.inflate(STATES)
+    assert source.share(STATES, NO_DOUBT).inflation == 1.0 < contradicted.inflation
+    # Doubt of the poses is doubt of the scale.
+    turned = np.zeros((STATES.size, 1))
+    turned[STATE + 2] = 0.01
+    assert source.share(STATES, turned).sigma > source.share(STATES, NO_DOUBT).sigma
+
+
 def test_the_scale_that_sheets_give_is_consistent():
-    shares = [papers(seed).share(STATES) for seed in range(60)]
+    shares = [papers(seed).share(STATES, NO_DOUBT) for seed in range(60)]
     # The error of the size given is in sigma, but not in these.
     noise = np.sqrt(np.array([s.sigma for s in shares]) ** 2 - 0.002**2)
     normal = (np.array([s.scale for s in shares]) - 1.0) / noise
@@ -178,16 +218,16 @@ def test_sources_that_disagree_are_named_with_their_sigmas(caplog):
         return PlaceSource(PlaceChain(STATES[:, :3], sigma**2 * np.diag([0, 0, 0, 2, 2, 1.0])))
 
     right, large = papers(5), papers(5, size=1.1)
-    agree = [s.share(STATES) for s in (odometry(0.02), right)]
+    agree = [s.share(STATES, NO_DOUBT) for s in (odometry(0.02), right)]
     assert scale_sigma(agree) < min(share.sigma for share in agree)
-    doubtful = [s.share(STATES) for s in (odometry(0.05), large)]
+    doubtful = [s.share(STATES, NO_DOUBT) for s in (odometry(0.05), large)]
     assert scale_sigma(doubtful) > 0.05
     assert 'by odom the sweeps are' in caplog.text
     # Neither excludes the other, and either may be right.
-    apart = [s.share(STATES) for s in (odometry(0.1), large)]
+    apart = [s.share(STATES, NO_DOUBT) for s in (odometry(0.1), large)]
     assert scale_sigma(apart) > abs(apart[0].scale - apart[1].scale) / 3.0
     with pytest.raises(LandmarkNavError, match=r'by odom .* than by papers \(\d'):
-        scale_sigma([s.share(STATES) for s in (odometry(0.02), large)])
+        scale_sigma([s.share(STATES, NO_DOUBT) for s in (odometry(0.02), large)])
 
 
 COARSE = Cylinder.with_resolution(200.0, -0.3, 0.3)

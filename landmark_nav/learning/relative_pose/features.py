@@ -40,7 +40,11 @@ _NEAREST, _FARTHEST = 0.15, 30.0
 
 @dataclass(frozen=True, eq=False)
 class Features:
-    """Directions in the base frame, (n, 3) as `Cylinder.rays` has them, and descriptors (n, d)."""
+    """
+    Directions in the base frame, (n, 3) as `Cylinder.rays` has them, and descriptors (n, d).
+
+    The strongest come first.
+    """
 
     rays: FloatArray
     descriptors: Float32Array
@@ -62,7 +66,8 @@ def find_features(panorama: Panorama, most: int) -> Features:
     if not points:
         return Features(np.empty((0, 3)), np.empty((0, 128), np.float32))
     pixels = np.array([point.pt for point in points]) - (_SEAM_PX, 0)
-    kept = (pixels[:, 0] >= -0.5) & (pixels[:, 0] < width - 0.5)
+    kept = np.argsort([-point.response for point in points], kind='stable')
+    kept = kept[(pixels[kept, 0] >= -0.5) & (pixels[kept, 0] < width - 0.5)]
     histograms = descriptors[kept]
     root = np.sqrt(histograms / np.maximum(histograms.sum(1, keepdims=True), 1e-9))
     return Features(panorama.cylinder.rays(pixels[kept]), np.asarray(root, dtype=np.float32))
@@ -134,15 +139,16 @@ def like_pairs(one: Features, other: Features, config: RelativePoseConfig) -> Li
     return LikePairs(one.rays, other.rays, *map(np.concatenate, zip(*parts, strict=True)))
 
 
-def matches_along(
+def alike_along(
     one: int,
     other: int,
     states: FloatArray,
     alike: LikePairs,
     config: RelativePoseConfig,
-    band_sigmas: float = BAND,
-) -> RayPairs:
-    """Match the features of two views, those that are alike, near their epipolar curves."""
+    band_sigmas: float,
+    in_range: bool = False,
+) -> LikePairs:
+    """Select the pairs of features of two views near their epipolar curves, and in range there."""
     way = (center(states[other]) - center(states[one])).astype(np.float32)
     w, v = (
         turned(states[k], rays).astype(np.float32)
@@ -153,13 +159,15 @@ def matches_along(
     length = float(np.hypot(way[0], way[1]))
 
     def near(which: IndexArray) -> IndexArray:
-        """Pairs, of those given, that are near their curves and in range."""
+        """Pairs, of those given, that are near their curves and, if asked, in range."""
         i, j = alike.first[which], alike.second[which]
         off = np.einsum('nk,nk->n', by_v[i], v[j])
         variance = cross(w[i], by_w[j]) ** 2 + cross(v[j], by_v[i]) ** 2
         variance += by_w[j, 2] ** 2 + by_v[i, 2] ** 2
         inside = off**2 < band**2 * variance
         which, i, j = which[inside], i[inside], j[inside]
+        if not in_range:
+            return np.asarray(which)
         parallax, inside = cross(w[i], v[j]), np.ones(len(i), bool)
         with np.errstate(divide='ignore', invalid='ignore'):
             for ahead in (cross(way, v)[j], cross(way, w)[i]):
@@ -170,5 +178,17 @@ def matches_along(
     # Only features with a possible match there need to be compared with all that compete.
     possible = np.zeros(len(w), bool)
     possible[alike.first[near(np.flatnonzero(alike.likeness > _least_top(config)))]] = True
-    chosen = near(np.flatnonzero(possible[alike.first]))
-    return RayPairs(one, other, *alike.chosen(chosen).distinct(config.max_ratio))
+    return alike.chosen(near(np.flatnonzero(possible[alike.first])))
+
+
+def matches_along(
+    one: int,
+    other: int,
+    states: FloatArray,
+    alike: LikePairs,
+    config: RelativePoseConfig,
+    band_sigmas: float = BAND,
+) -> RayPairs:
+    """Match the features of two views, those that are alike, near their epipolar curves."""
+    near = alike_along(one, other, states, alike, config, band_sigmas, in_range=True)
+    return RayPairs(one, other, *near.distinct(config.max_ratio))

@@ -1,23 +1,20 @@
 """
 Poses of all sweeps: the shape from the panoramas, the scale from other sources.
 
-Pairs of panoramas give headings and directions. The best pairs give initial poses of all sweeps,
-which are then fitted to all matches at once.
+Pairs of panoramas give headings and directions. These give initial poses of all sweeps, which are
+then fitted to all matches at once.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence, Set
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from itertools import combinations
 import logging
 
 import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.geometry.se2 import rotation
 from landmark_nav.learning.least_squares import covariance_of, solve_positive
 from landmark_nav.learning.relative_pose.epipolar import (
     EpipolarFit,
@@ -30,12 +27,15 @@ from landmark_nav.learning.relative_pose.epipolar import (
     TAIL,
 )
 from landmark_nav.learning.relative_pose.features import (
+    alike_along,
     Features,
     like_pairs,
     LikePairs,
     matches_along,
     WIDE_BAND,
 )
+from landmark_nav.learning.relative_pose.pairs import by_likeness, Directions, Pair
+from landmark_nav.learning.relative_pose.placing import placed
 from landmark_nav.learning.relative_pose.rigid_sets import rigid_set, RigidSet
 from landmark_nav.learning.relative_pose.scale import (
     contradiction,
@@ -47,11 +47,17 @@ from landmark_nav.learning.relative_pose.scale import (
     Source,
     stacked,
 )
-from landmark_nav.learning.relative_pose.sheet_tracks import FINE, ROUGH, sheet_tracks
+from landmark_nav.learning.relative_pose.sheet_tracks import (
+    FINE,
+    Length,
+    ROUGH,
+    sheet_tracks,
+)
 from landmark_nav.learning.relative_pose.two_views import (
     along_curves,
     BY_CHANCE,
     hypotheses,
+    states_of,
     turn_support,
     two_views_of,
     TwoViews,
@@ -64,8 +70,9 @@ _LOG = logging.getLogger(__name__)
 # A pose is accepted if it is these factors more likely than chance and than any other pose, and if
 # the evidence of others is a smaller share of its own: matches are not quite independent.
 _ODDS_OF_CHANCE, _ODDS_OF_RIVALS, _SHARE_OF_RIVALS = 1e5, 1e3, 0.7
-# Number of nearest sweeps with which each is matched, once their places are known.
-_NEIGHBOURS = 4
+# Half width of the band in which features are kept for matching, in sigmas: the first poses may be
+# wrong by degrees.
+_KEPT_BAND = 48.0
 # There is no baseline if a rotation alone explains this share of the inliers.
 _NO_BASELINE = 0.8
 # Prior sigmas of x, y, heading (m, m, rad): of the first sweep, which defines the frame, and of
@@ -163,11 +170,10 @@ def relative_poses(
     else:
         start = before.states * np.array([1.0, 1.0, 1.0, 1.0, 0.0, 0.0])
         pairs = {
-            (p.one, p.other): like_pairs(features[p.one], features[p.other], config)
-            for p in before.pairs
+            (p.one, p.other): _alike(p.one, p.other, features, start, config) for p in before.pairs
         }
     fit, sources, pairs_along, doubt = _fitted(start, pairs, known, sheets, config)
-    shares = tuple(source.share(fit.states) for source in sources)
+    shares = tuple(source.share(fit.states, doubt) for source in sources)
     # Given poses are not left out: they define the frame.
     if (odd := odd_source(shares)) and odd != 'sweep/pose':
         wrong, *others = sorted(shares, key=lambda share: share.name != odd)
@@ -176,7 +182,7 @@ def relative_poses(
         known = [chain for chain in known if chain.source != odd]
         sheets = [[sheet for sheet in views if sheet.kind != odd] for views in sheets]
         fit, sources, pairs_along, doubt = _fitted(start, pairs, known, sheets, config)
-        shares = tuple(source.share(fit.states) for source in sources)
+        shares = tuple(source.share(fit.states, doubt) for source in sources)
     return RelativePoses(
         fit.states,
         _known_covariance(fit.states, sources, config),
@@ -204,127 +210,61 @@ def _found(
     lever: FloatArray,
     config: RelativePoseConfig,
     sheets: Sequence[Sequence[SheetView]],
-) -> tuple[FloatArray, dict[tuple[int, int], LikePairs]]:
+) -> tuple[FloatArray, dict[Pair, LikePairs]]:
     """Initial states (v, 6) by matches of pairs of panoramas, and the pairs that share enough."""
-    count = len(features)
-    found: dict[tuple[int, int], TwoViews] = {}
-    doubtful: dict[tuple[int, int], list[TwoViews]] = {}
-    matched: dict[tuple[int, int], LikePairs | None] = {}
-    tried = _neighbours(known[0].poses) if known else list(combinations(range(count), 2))
-    # They are large: of many that are tried, those of neighbours are kept, and compared again.
-    few = len(tried) <= _NEIGHBOURS * count
-    for i, j in tried:
+    found: dict[Pair, TwoViews] = {}
+    doubtful: dict[Pair, list[TwoViews]] = {}
+    kept: dict[Pair, LikePairs] = {}
+    alone = list[Pair]()
+    pairs, partners = by_likeness(features, config)
+    known_ways = Directions(len(features))
+    for i, j in pairs:
+        if (i, j) not in partners and not known_ways.lack((i, j)):
+            continue
         alike = like_pairs(features[i], features[j], config)
-        pairs = RayPairs(i, j, *alike.distinct(config.max_ratio))
-        ranked = hypotheses(pairs, config)
-        turn = turn_support(pairs, config.direction_sigma_rad)
+        rays = RayPairs(i, j, *alike.distinct(config.max_ratio))
+        ranked = hypotheses(rays, config)
+        turn = turn_support(rays, config.direction_sigma_rad)
         agreed = ranked[0].support if ranked else 0
         if turn >= max(config.min_matches, _NO_BASELINE * agreed):
-            raise LandmarkNavError(
-                f'the panoramas of sweeps {i + 1} and {j + 1} are from one place: take another '
-                'sweep 1 to 3 m away'
-            )
+            alone.append((i, j))
+            continue
         ranked = along_curves(ranked, alike, config)
         if not ranked or ranked[0].evidence < BY_CHANCE + np.log(_ODDS_OF_CHANCE):
             continue
-        matched[i, j] = alike if few else None
         best = ranked[0].evidence
         least = min(best - np.log(_ODDS_OF_RIVALS), _SHARE_OF_RIVALS * best)
         rivals = [pose for pose in ranked if pose.evidence > least]
         if len(rivals) == 1:
             found[i, j] = rivals[0]
+            known_ways.add((i, j))
+            kept[i, j] = alike_along(0, 1, states_of(rivals[0]), alike, config, _KEPT_BAND)
         else:
             doubtful[i, j] = rivals
     lengths = sheet_tracks(sheets, found, ROUGH)[1] if sheets else {}
     if known:
         eyes = known[0].poses[:, :2]
-        lengths = {(i, j): float(np.hypot(*(eyes[j] - eyes[i]))) for i, j in found}
+        lengths = {(i, j): Length(float(np.hypot(*(eyes[j] - eyes[i]))), 0) for i, j in found}
     first = np.zeros(STATE)
     first[:3] = known[0].poses[0] if known else [*lever[:2], 0.0]
     first[3] = lever[2]
-    states, chain = _placed(count, found, doubtful, lengths, first)
-    kept = tried if few else {*chain, *_neighbours(states)}
-    return states, {
-        (i, j): alike or like_pairs(features[i], features[j], config)
-        for (i, j), alike in matched.items()
-        if (i, j) in kept
-    }
+    states = placed(len(features), found, doubtful, alone, lengths, first)
+    for i, j in doubtful:
+        kept[i, j] = _alike(i, j, features, states, config)
+    return states, kept
 
 
-def _neighbours(poses: FloatArray) -> list[tuple[int, int]]:
-    """Pairs of sweeps to match: consecutive ones, and those near each other."""
-    away = np.hypot(*(poses[:, None, :2] - poses[None, :, :2]).transpose(2, 0, 1))
-    near = {(k, k + 1) for k in range(len(poses) - 1)}
-    for k, order in enumerate(np.argsort(away, 1, kind='stable')[:, 1 : _NEIGHBOURS + 1]):
-        near |= {(min(k, int(j)), max(k, int(j))) for j in order}
-    return sorted(near)
-
-
-def _placed(
-    count: int,
-    found: Mapping[tuple[int, int], TwoViews],
-    doubtful: Mapping[tuple[int, int], Sequence[TwoViews]],
-    lengths: Mapping[tuple[int, int], float],
-    first: FloatArray,
-) -> tuple[FloatArray, list[tuple[int, int]]]:
-    """States (v, 6), and the pairs with most support that chain them; `lengths` are baselines."""
-    states, chain = np.tile(first, (count, 1)), list[tuple[int, int]]()
-    placed = {0}
-    while len(placed) < count:
-        ways = [e for e in found if (e[0] in placed) != (e[1] in placed)]
-        if not ways:
-            raise LandmarkNavError(_why_alone(count, placed, doubtful))
-        ways = [e for e in ways if e in lengths]
-        if not ways:
-            alone = next(k for k in range(count) if k not in placed)
-            raise LandmarkNavError(
-                f'nothing gives the scale: sweep {alone + 1} shows no sheet of the size given '
-                'that another sweep shows, too: hang sheets that both see, or record odom'
-            )
-        i, j = max(ways, key=lambda e: found[e].support)
-        pose, forward = found[i, j], i in placed
-        near, new = (i, j) if forward else (j, i)
-        turn = pose.heading_rad if forward else -pose.heading_rad
-        heading = states[near, 2] + turn
-        course = pose.direction_rad + (states[i, 2] if forward else heading)
-        course += 0.0 if forward else np.pi
-        way = lengths[i, j] * np.array([np.cos(course), np.sin(course)])
-        states[new, :2] = states[near, :2] + way
-        states[new, 2] = wrap_rad(heading)
-        rise = lengths[i, j] * pose.slope
-        states[new, 3] = states[near, 3] + (rise if forward else -rise)
-        tilt = pose.tilt_rad if forward else -rotation(-turn) @ pose.tilt_rad
-        states[new, 4:] = rotation(-turn) @ states[near, 4:] + tilt
-        placed.add(new)
-        chain.append((i, j))
-    return states, chain
-
-
-def _why_alone(
-    count: int, placed: Set[int], doubtful: Mapping[tuple[int, int], Sequence[TwoViews]]
-) -> str:
-    """Say what keeps a sweep from being placed."""
-    for (i, j), (best, second, *_) in doubtful.items():
-        if (i in placed) != (j in placed):
-            ways = ' or '.join(
-                f'{np.degrees(p.heading_rad):.0f} deg (way at {np.degrees(p.direction_rad):.0f})'
-                for p in (best, second)
-            )
-            return (
-                f'sweeps {i + 1} and {j + 1} may be turned by {ways}: {best.support} and '
-                f'{second.support} matches agree; take a sweep between them that sees more sides '
-                'of the room'
-            )
-    alone = next(k for k in range(count) if k not in placed)
-    return (
-        f'the panorama of sweep {alone + 1} shares too little with the others: take '
-        'sweeps 1 to 2 m apart that see the same textured walls'
-    )
+def _alike(
+    i: int, j: int, features: Sequence[Features], states: FloatArray, config: RelativePoseConfig
+) -> LikePairs:
+    """Pairs of features that may be matches by the states; all of them take much memory."""
+    alike = like_pairs(features[i], features[j], config)
+    return alike_along(i, j, states, alike, config, _KEPT_BAND)
 
 
 def _fitted(
     start: FloatArray,
-    matched: Mapping[tuple[int, int], LikePairs],
+    matched: Mapping[Pair, LikePairs],
     known: Sequence[PlaceChain],
     sheets: Sequence[Sequence[SheetView]],
     config: RelativePoseConfig,
@@ -335,15 +275,21 @@ def _fitted(
     covariance, states = _prior_covariance(len(start), config), start
     places = [PlaceSource(chain) for chain in known]
     # Before the first fit, too: wrong poses would move the panoramas to matches that fit them.
-    for source in places:
-        source.inflate(states)
+    for place in places:
+        place.inflate(states)
     fitted = partial(fit_poses, prior=prior, prior_covariance=covariance)
     rigid: list[RigidSet] = []
     precise = config.feature_sigma_rad
     for number in range(_ROUNDS):
         poses = {pair: two_views_of(states, *pair) for pair in matched}
-        tracks = sheet_tracks(sheets, poses, FINE if number else ROUGH)[0] if sheets else []
-        sources: list[Source] = [*places, *SheetSource.of_kinds(tracks)]
+        ways = {(i, j): float(np.hypot(*(states[j] - states[i])[:2])) for i, j in matched}
+        rough = FINE if number else ROUGH
+        tracks = sheet_tracks(sheets, poses, rough, ways)[0] if sheets else []
+        seen = SheetSource.of_kinds(tracks)
+        sources: list[Source] = [*places, *(k.agreeing(states) if number else k for k in seen)]
+        if number:
+            for source in sources:
+                source.inflate(states)
         if not sources:
             raise LandmarkNavError(
                 'nothing gives the scale: sheets that several sweeps show contradict their poses: '
@@ -363,8 +309,8 @@ def _fitted(
             pairs = [p.chosen(k.agrees) for p, k in zip(wide, rigid, strict=True)]
             fit = fitted(states, pairs, precise, others=others)
         states = fit.states
-        for source in places:
-            source.inflate(states)
+    for source in sources:
+        source.inflate(states)
     return fit, sources, pairs, _doubt(fit, pairs, rigid, sources, precise, config)
 
 
@@ -376,13 +322,13 @@ def _doubt(
     sigma_rad: float,
     config: RelativePoseConfig,
 ) -> FloatArray:
-    """Errors (6 v, q) of all states by those of each pair."""
+    """Errors (6 v, q) of all states by those of pairs, which share the sections of the room."""
     size = fit.states.size
     # Panoramas show no scale: without its sources it would be in doubt.
     _, known = stacked(sources)(fit.states)
     information = solve_positive(_prior_covariance(len(fit.states), config), np.eye(size))
     information += known.T @ known
-    pulls = []
+    pull = np.zeros((size, rigid[0].loading.shape[1]))
     for p, agrees, found in zip(pairs, fit.agrees, rigid, strict=True):
         inliers = p.chosen(agrees)
         _, slopes, _ = misses(fit.states, inliers, sigma_rad)
@@ -390,8 +336,8 @@ def _doubt(
         jacobian[:, p.one], jacobian[:, p.other] = slopes[:, 0], slopes[:, 1]
         flat = jacobian.reshape(len(slopes), size)
         information += flat.T @ flat
-        pulls.append(flat.T @ (slopes[:, 1] @ found.loading))
-    return np.asarray(solve_positive(information, np.hstack(pulls)))
+        pull += flat.T @ (slopes[:, 1] @ found.loading)
+    return np.asarray(solve_positive(information, pull))
 
 
 def _prior_covariance(count: int, config: RelativePoseConfig) -> FloatArray:

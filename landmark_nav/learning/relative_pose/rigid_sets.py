@@ -7,7 +7,8 @@ searched among random samples of matches, by a likelihood in which a match has o
 sigmas, from that of single features up, or is an outlier (MLESAC: Torr and Zisserman, Computer
 Vision and Image Understanding 78(1), 2000). What hangs on one wall shares its errors: relief,
 repeated texture, that it was moved. So sectors of azimuth, not matches, are weighted at random to
-see how the pose changes (Bayesian bootstrap: Rubin, Annals of Statistics 9(1), 1981).
+see how the pose changes (Bayesian bootstrap: Rubin, Annals of Statistics 9(1), 1981), about the
+middle of all sweeps and alike in all pairs: they see the same walls.
 """
 
 from __future__ import annotations
@@ -17,12 +18,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from landmark_nav.arrays import BoolArray
+from landmark_nav.geometry.se2 import cross
 from landmark_nav.learning.least_squares import solve_positive
 from landmark_nav.learning.relative_pose.epipolar import (
     misses,
     RayPairs,
     RelativePoseConfig,
     residuals,
+    turned,
 )
 from landmark_nav.learning.relative_pose.features import WIDE_BAND
 from landmark_nav.types import FloatArray
@@ -39,6 +42,8 @@ _AROUND = 0.1
 # Number of sectors of azimuth whose matches share errors (4 and 6 give much the same), and of
 # draws.
 _SECTORS, _DRAWS = 12, 48
+# Greatest change of a state, in rad and m, that ends the steps; fewest matches that judge samples.
+_CONVERGED, _SCREENED = 1e-5, 300
 _NOTHING = 1e-12
 
 
@@ -48,7 +53,7 @@ class RigidSet:
     State (6,) of the second view by the matches (m,) that agree with it, with their sigma.
 
     `loading` (6, q) are the errors of the state by what matches share, as factors with unit
-    variance.
+    variance: those of sections of the room, the same for all pairs.
     """
 
     state: FloatArray
@@ -71,13 +76,17 @@ def rigid_set(states: FloatArray, pairs: RayPairs, config: RelativePoseConfig) -
     rng, search = np.random.default_rng(0), _Search(states, pairs, config)
     every = np.ones(len(pairs.rays))
     tried = search.samples(rng)
-    support = np.array([search.gains(state, _SHARE).sum() for state in tried])
+    step = 1 + len(pairs.rays) // _SCREENED
+    screen = _Search(states, pairs.chosen(np.arange(len(pairs.rays)) % step == 0), config)
+    support = np.array([screen.gains(state, _SHARE).sum() for state in tried])
     first = np.argsort(-support, kind='stable')[:_REFINED]
     found = [search.refined(state, _SHARE, every) for state in tried[first]]
     gains = np.array([search.gains(*each) for each in found])
     best, share = found[int(np.argmax(gains.sum(axis=1)))]
-    turns = np.arctan2(pairs.rays[:, 1], pairs.rays[:, 0]) * _SECTORS / (2.0 * np.pi)
+    turns = _azimuths(states, pairs) * _SECTORS / (2.0 * np.pi)
     changes = []
+    # All pairs of a room have the same draws: what a section of it misleads is common to them.
+    rng = np.random.default_rng(_DRAWS)
     for _ in range(_DRAWS):
         sector = np.floor(turns + rng.uniform()).astype(int) % _SECTORS
         weight = rng.exponential(size=_SECTORS)[sector]
@@ -88,6 +97,18 @@ def rigid_set(states: FloatArray, pairs: RayPairs, config: RelativePoseConfig) -
     variance = (inlier @ off**2 + config.direction_sigma_rad**2) / (inlier.sum() + 1.0)
     loading = np.array(changes).T / np.sqrt(_DRAWS)
     return RigidSet(best, inlier > 0.5, loading, float(np.sqrt(variance)))
+
+
+def _azimuths(states: FloatArray, pairs: RayPairs) -> FloatArray:
+    """Azimuths (m,) in map of the points of matches from the middle of all views."""
+    w, v = (
+        turned(states[k], rays)
+        for k, rays in ((pairs.one, pairs.rays), (pairs.other, pairs.other_rays))
+    )
+    here, way = states[pairs.one, :2], (states[pairs.other] - states[pairs.one])[:2]
+    reach = cross(way, v) / (cross(w, v) + _NOTHING)
+    x, y = (here + reach[:, None] * w[:, :2] - states[:, :2].mean(axis=0)).T
+    return np.asarray(np.arctan2(y, x))
 
 
 class _Search:
@@ -139,9 +160,12 @@ class _Search:
             precision = weight * (inlier @ self._sigmas**-2.0)
             information = self._information + (slope.T * precision) @ slope
             pull = slope.T @ (precision * off) + self._information @ (state - self._prior)
-            state = state - solve_positive(information, pull)
+            step = solve_positive(information, pull)
+            state = state - step
             inside = weight @ inlier.sum(axis=1) / max(weight.sum(), _NOTHING)
             share = float(np.clip(inside, *_SHARES))
+            if np.abs(step).max() < _CONVERGED:
+                break
         return state, share
 
     def _ratios(self, off: FloatArray, before: BoolArray) -> FloatArray:

@@ -58,10 +58,6 @@ class PlaceSource:
     places: PlaceChain
     inflation: float = field(default=1.0, init=False)
 
-    def __post_init__(self) -> None:
-        """Whiten all poses but the first, which defines the frame."""
-        self._whiten = np.linalg.inv(root_of(self.places.covariance[3:, 3:]))
-
     @property
     def name(self) -> str:
         """Name of the source."""
@@ -69,22 +65,35 @@ class PlaceSource:
 
     def rows(self, states: FloatArray) -> Rows:
         """Residuals (m,) in sigmas and their derivatives (m, 6 v)."""
+        return self._rows(states, self.places.slip_m)
+
+    def _rows(self, states: FloatArray, slip_m: float) -> Rows:
+        """Rows of all poses but the first, which defines the frame, with slips of this sigma."""
         count = len(states)
         off = states[1:, :3] - self.places.poses[1:]
         off[:, 2] = wrap_rad(off[:, 2])
-        whiten = self._whiten / np.sqrt(self.inflation)
+        slips = slip_m * self._by_slip(count)
+        covariance = self.inflation * self.places.covariance[3:, 3:] + slips @ slips.T
+        whiten = np.linalg.inv(root_of(covariance))
         jacobian = np.zeros((len(whiten), count, STATE))
         jacobian[:, 1:, :3] = whiten.reshape(-1, count - 1, 3)
         return whiten @ off.ravel(), jacobian.reshape(-1, count * STATE)
 
-    def share(self, states: FloatArray) -> ScaleShare:
-        """Scale by this source."""
+    @staticmethod
+    def _by_slip(count: int) -> FloatArray:
+        """Change of all poses but the first by slips of the ways: one moves all later poses."""
+        return np.asarray(np.kron(np.tri(count - 1), np.eye(3)[:, :2]), dtype=np.float64)
+
+    def share(self, states: FloatArray, doubt: FloatArray) -> ScaleShare:
+        """Scale by this source; `doubt` (6 v, q) are errors of the states."""
         rows = self.rows(states)
         scale, sigma = _scale_by(rows, states)
-        # Derivative of the scale by each place; a slip moves all later places.
-        by_place = sigma**2 * (_growth(states) @ rows[1].T) @ rows[1]
-        by_slip = np.cumsum(by_place.reshape(-1, STATE)[:0:-1, :2], axis=0)
-        slip = self.places.slip_m * float(np.linalg.norm(by_slip))
+        # Derivative of the scale by each state.
+        by_states = sigma**2 * (_growth(states) @ rows[1].T) @ rows[1]
+        by_places = by_states.reshape(-1, STATE)[1:, :3].ravel()
+        slip = self.places.slip_m * float(np.linalg.norm(by_places @ self._by_slip(len(states))))
+        own = self.inflation * by_places @ self.places.covariance[3:, 3:] @ by_places
+        sigma = float(np.sqrt(own + np.sum((by_states @ doubt) ** 2)))
         return ScaleShare(self.name, scale, sigma, self.inflation, slip=slip)
 
     def inflate(self, states: FloatArray) -> None:
@@ -93,15 +102,15 @@ class PlaceSource:
 
         Raises `LandmarkNavError`: the poses contradict the panoramas.
         """
+        # Slips are rare: what they would explain is not taken for granted.
         self.inflation = 1.0
-        rows = self.rows(states)
-        scale, sigma = _scale_by(rows, states)
-        misfit = float(rows[0] @ rows[0]) - ((scale - 1.0) / sigma) ** 2
-        freedom = len(rows[0]) - 1
-        if misfit > chdtri(freedom, _CHANCE):
-            self.inflation = misfit / freedom
-            if sigma * np.sqrt(self.inflation) > _MOST_SCALE_SIGMA:
-                raise LandmarkNavError(self._contradiction(states))
+        rows = self._rows(states, 0.0)
+        self.inflation = _inflation(rows, states, len(rows[0]) - 1)
+        if (
+            self.inflation > 1.0
+            and _scale_by(self._rows(states, 0.0), states)[1] > _MOST_SCALE_SIGMA
+        ):
+            raise LandmarkNavError(self._contradiction(states))
 
     def _contradiction(self, states: FloatArray) -> str:
         """Message that names the sweeps between which the disagreement is largest."""
@@ -120,18 +129,30 @@ class PlaceSource:
         )
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class SheetSource:
     """Sheets of one kind, which share errors of their size and of edges in images."""
 
     name: str
     tracks: Sequence[SheetTrack]
+    inflation: float = field(default=1.0, init=False)
 
     @classmethod
     def of_kinds(cls, tracks: Sequence[SheetTrack]) -> list[SheetSource]:
         """One for each kind of sheets."""
         kinds = sorted({track.kind for track in tracks})
         return [cls(kind, [t for t in tracks if t.kind == kind]) for kind in kinds]
+
+    def agreeing(self, states: FloatArray) -> SheetSource:
+        """Leave out sheets whose scale contradicts that of most others: they have another size."""
+        single = [SheetSource(self.name, [track]).rows(states) for track in self.tracks]
+        scale, sigma = np.array([_scale_by(rows, states) for rows in single]).T
+        apart = np.abs(scale - scale[:, None]) > _MOST_SIGMAS * np.hypot(sigma, sigma[:, None])
+        alike = (~apart).sum(axis=0)
+        kept = ~apart[int(np.lexsort((sigma, -alike))[0])]
+        if 2 * np.count_nonzero(kept) <= len(kept):
+            return self
+        return SheetSource(self.name, [t for t, k in zip(self.tracks, kept, strict=True) if k])
 
     def rows(self, states: FloatArray) -> Rows:
         """Rows as in `PlaceSource`; shared errors, each with a prior, are eliminated."""
@@ -142,12 +163,31 @@ class SheetSource:
         rows = np.column_stack([off, jacobian.reshape(len(off), -1)])
         rows = np.vstack([rows, np.zeros((count, rows.shape[1]))])
         rows -= basis @ (basis.T @ rows)
+        rows /= np.sqrt(self.inflation)
         return rows[:, 0], rows[:, 1:]
 
-    def share(self, states: FloatArray) -> ScaleShare:
-        """Scale by these sheets."""
-        scale, sigma = _scale_by(self.rows(states), states)
-        return ScaleShare(self.name, scale, sigma, sheets=len(self.tracks))
+    def share(self, states: FloatArray, doubt: FloatArray) -> ScaleShare:
+        """Scale by these sheets, as that of `PlaceSource`."""
+        rows = self.rows(states)
+        scale, sigma = _scale_by(rows, states)
+        by_states = sigma**2 * (_growth(states) @ rows[1].T) @ rows[1]
+        sigma = float(np.hypot(sigma, np.linalg.norm(by_states @ doubt)))
+        return ScaleShare(self.name, scale, sigma, self.inflation, len(self.tracks))
+
+    def inflate(self, states: FloatArray) -> None:
+        """
+        Inflate variances by the misfit as in `PlaceSource`.
+
+        Raises `LandmarkNavError`: the sheets contradict the panoramas.
+        """
+        self.inflation = 1.0
+        freedom = 3 * sum(len(track.views) - 1 for track in self.tracks) - 1
+        self.inflation = _inflation(self.rows(states), states, freedom)
+        if self.inflation > 1.0 and _scale_by(self.rows(states), states)[1] > _MOST_SCALE_SIGMA:
+            raise LandmarkNavError(
+                f'{self.name} contradict each other or the panoramas: check the size given, or '
+                'hang more sheets of it'
+            )
 
 
 Source = PlaceSource | SheetSource
@@ -159,6 +199,13 @@ def _scale_by(rows: Rows, states: FloatArray) -> tuple[float, float]:
     slope = jacobian @ _growth(states)
     information = float(slope @ slope)
     return 1.0 - float(slope @ off) / information, information**-0.5
+
+
+def _inflation(rows: Rows, states: FloatArray, freedom: int) -> float:
+    """Factor on the variances by the misfit, without that of the scale; 1 if by chance."""
+    scale, sigma = _scale_by(rows, states)
+    misfit = float(rows[0] @ rows[0]) - ((scale - 1.0) / sigma) ** 2
+    return misfit / freedom if misfit > chdtri(freedom, _CHANCE) else 1.0
 
 
 def _growth(states: FloatArray) -> FloatArray:

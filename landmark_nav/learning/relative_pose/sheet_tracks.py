@@ -2,13 +2,15 @@
 Sheets of a known size in several panoramas: points with a measured range.
 
 The correspondence of candidates is unknown, and some are not sheets. Two views of one sheet give
-the length of the baseline; the length with the most sheets is taken.
+the length of the baseline; the likeliest is taken, or one scale of all baselines.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from itertools import product
+from typing import NamedTuple
 
 import numpy as np
 from scipy.special import chdtri
@@ -26,12 +28,16 @@ ROUGH, FINE = 0.006, 0.0015
 # Significance at which two views show different sheets; greatest difference of equal lengths, in
 # sigmas; greatest relative sigma of a useful length.
 _CHANCE, _SAME_SIGMAS, _MOST_SIGMA = 1e-3, 3.0, 0.1
+# By chance, a scale is anywhere within a factor of ten to either side: the width of its logarithm.
+# Odds by which a scale must be likelier than another.
+_BY_CHANCE, _ODDS = 2.0 * np.log(10.0), 3.0
 # Number of directions that a sheet may face, which are tried.
 _SLANTS = 2881
 
 
-# Two views with the number of a sheet in each: both are one sheet.
-_Link = tuple[tuple[int, int], tuple[int, int]]
+# A view and the number of a sheet in it; two of these that are one sheet.
+_Seen = tuple[int, int]
+_Link = tuple[_Seen, _Seen]
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,25 +56,65 @@ class SheetTrack:
     shared: FloatArray
 
 
+class Length(NamedTuple):
+    """Length of a baseline by sheets, and logarithm of its odds to another length."""
+
+    length_m: float
+    lead: float
+
+
 @dataclass(frozen=True)
 class _Pair:
-    """Sheet `one` of the first view is `other` of the second; length of the baseline by it."""
+    """One sheet in two views: logarithm of the scale of their baseline by it, and its sigma."""
 
-    one: int
-    other: int
-    length_m: float
-    sigma_m: float
+    one: _Seen
+    other: _Seen
+    scale: float
+    sigma: float
+
+    def gain(self, scale: float) -> float:
+        """Logarithm of the likelihood ratio of a scale to chance."""
+        peak = _BY_CHANCE / (np.sqrt(2.0 * np.pi) * self.sigma)
+        return float(np.log(peak) - 0.5 * ((self.scale - scale) / self.sigma) ** 2)
+
+
+@dataclass(frozen=True)
+class _Group:
+    """Pairs that agree on a scale."""
+
+    pairs: tuple[_Pair, ...] = ()
+
+    @property
+    def _weight(self) -> FloatArray:
+        return np.array([pair.sigma**-2 for pair in self.pairs])
+
+    @property
+    def scale(self) -> float:
+        """Weighted mean of the logarithm of the scale."""
+        return float(np.average([pair.scale for pair in self.pairs], weights=self._weight))
+
+    @property
+    def evidence(self) -> float:
+        """Logarithm of the likelihood ratio to chance, over all scales: 0 for a single pair."""
+        if not self.pairs:
+            return 0.0
+        sigma = np.sqrt(2.0 * np.pi / self._weight.sum())
+        return sum(pair.gain(self.scale) for pair in self.pairs) + float(
+            np.log(sigma / _BY_CHANCE)
+        )
 
 
 def sheet_tracks(
     sheets: Sequence[Sequence[SheetView]],
     found: Mapping[tuple[int, int], TwoViews],
     pose_sigma_rad: float,
-) -> tuple[list[SheetTrack], dict[tuple[int, int], float]]:
+    baselines_m: Mapping[tuple[int, int], float] | None = None,
+) -> tuple[list[SheetTrack], dict[tuple[int, int], Length]]:
     """
     Find which views show the same sheets.
 
-    A pair of views whose sheets support two lengths alike is left out.
+    Pairs of views whose sheets support two lengths alike are left out. With the baselines of all,
+    which then have one scale, all sheets of a kind support the same.
 
     Raises `LandmarkNavError`: no other pair shows a sheet.
 
@@ -80,6 +126,8 @@ def sheet_tracks(
         Relative poses of pairs of views.
     pose_sigma_rad : float
         Sigma of these poses.
+    baselines_m : mapping, optional
+        Baselines of these pairs by the poses of all views, for one scale; horizontal, m.
 
     Returns
     -------
@@ -88,25 +136,31 @@ def sheet_tracks(
         Baselines of pairs that share sheets, m.
     """
     links: list[_Link] = []
-    lengths, undecided = {}, list[str]()
+    lengths, undecided = dict[tuple[int, int], Length](), list[str]()
     kinds = sorted({seen.kind for view in sheets for seen in view})
-    for (i, j), pose in found.items():
-        # Kinds whose given sizes contradict each other are compared once the poses are fitted.
-        agreed = []
-        for kind in kinds:
-            best, rival = _agreed(kind, sheets[i], sheets[j], pose, pose_sigma_rad)
-            if not rival:
-                agreed += best
-                continue
-            apart = ' and '.join(f'{group[0].length_m:.2f} m' for group in (best, rival))
+    # Kinds whose given sizes contradict each other are compared once the poses are fitted.
+    together = [[pair] for pair in found] if baselines_m is None else [list(found)]
+    for pairs, kind in product(together, kinds):
+        units = {pair: 1.0 if baselines_m is None else baselines_m[pair] for pair in pairs}
+        ways = [
+            way
+            for pair, unit in units.items()
+            for way in _ways(kind, sheets, pair, found[pair], unit, pose_sigma_rad)
+        ]
+        best, rival = _agreed(ways)
+        lead = best.evidence - rival.evidence
+        if rival.pairs and lead < np.log(_ODDS):
+            i, j = best.pairs[0].one[0], best.pairs[0].other[0]
+            apart = [f'{np.exp(group.scale) * units[i, j]:.2f} m' for group in (best, rival)]
             undecided.append(
-                f'sheets that sweeps {i + 1} and {j + 1} both show say that these are {apart} '
-                'apart: check the size given, or hang more sheets of it'
+                f'sheets that sweeps {i + 1} and {j + 1} both show say that these are '
+                f'{" and ".join(apart)} apart: check the size given, or hang more sheets of it'
             )
-        if agreed:
-            links += [((i, pair.one), (j, pair.other)) for pair in agreed]
-            weight = np.array([pair.sigma_m**-2 for pair in agreed])
-            lengths[i, j] = float(np.average([p.length_m for p in agreed], weights=weight))
+            continue
+        links += [(way.one, way.other) for way in best.pairs]
+        for i, j in {(way.one[0], way.other[0]) for way in best.pairs}:
+            if (i, j) not in lengths or lead > lengths[i, j].lead:
+                lengths[i, j] = Length(float(np.exp(best.scale)) * units[i, j], lead)
     if undecided and not lengths:
         raise LandmarkNavError(undecided[0])
     tracks = []
@@ -123,53 +177,50 @@ def sheet_tracks(
     return tracks, lengths
 
 
-def _agreed(
+def _agreed(pairs: Sequence[_Pair]) -> tuple[_Group, _Group]:
+    """Views of sheets that agree on the likeliest scale, and on the likeliest other scale."""
+
+    def likeliest(among: Sequence[_Pair]) -> _Group:
+        groups = [_distinct([p for p in among if p.gain(q.scale) > 0.0]) for q in among]
+        return max(groups, key=lambda group: group.evidence, default=_Group())
+
+    best = likeliest(pairs)
+    return best, likeliest([p for p in pairs if not any(_same(p, q) for q in best.pairs)])
+
+
+def _ways(
     kind: str,
-    one: Sequence[SheetView],
-    other: Sequence[SheetView],
+    sheets: Sequence[Sequence[SheetView]],
+    views: tuple[int, int],
     pose: TwoViews,
+    unit: float,
     pose_sigma_rad: float,
-) -> tuple[list[_Pair], list[_Pair]]:
-    """Most views of sheets of a kind that agree on the baseline; as many that do on another."""
-    pairs = [
-        pair
-        for a, first in enumerate(one)
-        for b, second in enumerate(other)
-        if first.kind == second.kind == kind
-        and first.name == second.name
-        and (pair := _way(a, b, first, second, pose, pose_sigma_rad)) is not None
-    ]
-    if not pairs:
-        return [], []
-    groups = [_distinct([p for p in pairs if _same(p, about)]) for about in pairs]
-    best = max(groups, key=lambda group: (len(group), -min(p.sigma_m for p in group)))
-    rest = [p for p in pairs if p not in best and not any(_same(p, q) for q in best)]
-    rival = max((_distinct([p for p in rest if _same(p, q)]) for q in rest), key=len, default=[])
-    return best, rival if len(rival) >= len(best) else []
-
-
-def _way(
-    a: int, b: int, first: SheetView, second: SheetView, pose: TwoViews, pose_sigma_rad: float
-) -> _Pair | None:
-    """Length of the baseline if two views show one sheet; None if they do not."""
+) -> Iterator[_Pair]:
+    """Yield what may be one sheet in two views, and the scale of their baseline by it."""
+    i, j = views
     state = np.array([0.0, 0.0, pose.heading_rad, 0.0, *pose.tilt_rad])
-    there = turned(state, second.position[None])[0]
     rotation = rot_z(pose.heading_rad)
-    reach = np.array([np.linalg.norm(s.position) for s in (first, second)])
-    rough = pose_sigma_rad**2 * np.sum(reach**2)
-    covariance = first.covariance + rotation @ second.covariance @ rotation.T
-    information = np.linalg.inv(covariance + rough * np.eye(3))
-    way = first.position - there
     along = np.array([np.cos(pose.direction_rad), np.sin(pose.direction_rad), pose.slope])
-    variance = 1.0 / (along @ information @ along)
-    length = float(variance * (along @ information @ way))
-    left = way - length * along
-    if left @ information @ left > chdtri(2, _CHANCE):
-        return None
-    if _hidden(first, second, there) > chdtri(1, _CHANCE):
-        return None
-    sigma = float(np.sqrt(variance))
-    return _Pair(a, b, length, sigma) if length > 0.0 and sigma < _MOST_SIGMA * length else None
+    for (a, first), (b, second) in product(enumerate(sheets[i]), enumerate(sheets[j])):
+        if not first.kind == second.kind == kind or first.name != second.name:
+            continue
+        there = turned(state, second.position[None])[0]
+        reach = np.array([np.linalg.norm(s.position) for s in (first, second)])
+        rough = pose_sigma_rad**2 * np.sum(reach**2)
+        covariance = first.covariance + rotation @ second.covariance @ rotation.T
+        information = np.linalg.inv(covariance + rough * np.eye(3))
+        way = first.position - there
+        variance = 1.0 / (along @ information @ along)
+        length = float(variance * (along @ information @ way))
+        left = way - length * along
+        sigma = float(np.sqrt(variance))
+        if (
+            left @ information @ left < chdtri(2, _CHANCE)
+            and _hidden(first, second, there) < chdtri(1, _CHANCE)
+            and length > 0.0
+            and sigma < _MOST_SIGMA * length
+        ):
+            yield _Pair((i, a), (j, b), float(np.log(length / unit)), sigma / length)
 
 
 def _hidden(first: SheetView, second: SheetView, there: FloatArray) -> float:
@@ -187,24 +238,27 @@ def _hidden(first: SheetView, second: SheetView, there: FloatArray) -> float:
 
 
 def _same(one: _Pair, other: _Pair) -> bool:
-    apart = abs(one.length_m - other.length_m)
-    return bool(apart < _SAME_SIGMAS * np.hypot(one.sigma_m, other.sigma_m))
+    apart = abs(one.scale - other.scale)
+    return bool(apart < _SAME_SIGMAS * np.hypot(one.sigma, other.sigma))
 
 
-def _distinct(pairs: list[_Pair]) -> list[_Pair]:
-    """The most certain of the pairs that share a view of a sheet."""
+def _distinct(pairs: Sequence[_Pair]) -> _Group:
+    """The most certain of the pairs that share a view of a sheet with the same other view."""
     kept: list[_Pair] = []
-    for pair in sorted(pairs, key=lambda p: p.sigma_m):
-        if all(pair.one != k.one and pair.other != k.other for k in kept):
+    taken = set[tuple[_Seen, int]]()
+    for pair in sorted(pairs, key=lambda p: p.sigma):
+        ends = {(pair.one, pair.other[0]), (pair.other, pair.one[0])}
+        if not ends & taken:
             kept.append(pair)
-    return kept
+            taken |= ends
+    return _Group(tuple(kept))
 
 
 def _groups(
-    links: Sequence[tuple[tuple[int, int], tuple[int, int]]],
-) -> list[list[tuple[int, int]]]:
+    links: Sequence[_Link],
+) -> list[list[_Seen]]:
     """What is linked, directly or over others."""
-    groups: list[set[tuple[int, int]]] = []
+    groups: list[set[_Seen]] = []
     for link in links:
         joined = set(link).union(*(g for g in groups if g & set(link)))
         groups = [g for g in groups if not g & joined] + [joined]

@@ -73,6 +73,14 @@ def two_views_of(states: FloatArray, one: int, other: int) -> TwoViews:
     return TwoViews(float(heading), float(np.arctan2(way[1], way[0])), tilt, slope, 0)
 
 
+def states_of(pose: TwoViews) -> FloatArray:
+    """States (2, 6) of two sweeps with this relative pose, at unit distance in plan."""
+    states = np.zeros((2, STATE))
+    way = np.cos(pose.direction_rad), np.sin(pose.direction_rad)
+    states[1] = *way, pose.heading_rad, pose.slope, *pose.tilt_rad
+    return states
+
+
 def hypotheses(pairs: RayPairs, config: RelativePoseConfig) -> list[TwoViews]:
     """Relative poses supported by matches, which come most distinct first; the best pose first."""
     if len(pairs.rays) < config.min_matches:
@@ -102,10 +110,7 @@ def along_curves(
     """
     refined = []
     for pose in poses:
-        states = np.zeros((2, STATE))
-        way = np.cos(pose.direction_rad), np.sin(pose.direction_rad)
-        states[1] = *way, pose.heading_rad, pose.slope, *pose.tilt_rad
-        pairs = matches_along(0, 1, states, alike, config)
+        pairs = matches_along(0, 1, states_of(pose), alike, config)
         refined.append(_refined(pairs, pose.heading_rad, pose.direction_rad, config))
     refined.sort(key=lambda pose: -pose.evidence)
     return [p for k, p in enumerate(refined) if not any(_same(p, o) for o in refined[:k])]
