@@ -154,8 +154,8 @@ def locate(
             _LOG.warning('%s: only what stands for itself is learned', error)
             room = open_room(joined, eyes, config.facades)
         measured = [m for _, pairs in matched for m in _measured(pairs, sigma)]
-        doubt = poses.doubt.reshape(len(eyes), STATE, -1)[:, [0, 1, 3, 2]]
-        ties = Ties(joined.positions, measured, doubt.reshape(4 * len(eyes), -1))
+        shared_errors = poses.shared_errors.reshape(len(eyes), STATE, -1)[:, [0, 1, 3, 2]]
+        ties = Ties(joined.positions, measured, shared_errors.reshape(4 * len(eyes), -1))
     located = [
         replace(
             p, center_map=eye, heading_rad=float(state[2]), covariance=np.diag(RELATIVE_SIGMA**2)
@@ -243,8 +243,8 @@ def locate_sweeps(
             'directions too, by %.2f deg: sweep once more',
             np.degrees(moved_rad),
         )
-    # Tilted panoramas leave more doubt than those levelled by them.
-    located.poses.check_doubt(config.relative_pose)
+    # Tilted panoramas leave headings less certain than those levelled by them.
+    located.poses.check_headings(config.relative_pose)
     return located
 
 

@@ -42,7 +42,7 @@ from landmark_nav.types import (
 _PAN_RANGE_RAD, _PATIENCE_S = 0.1, 0.4
 _LEVELS = {Status.OK: Level.OK, Status.DEGRADED: Level.DEGRADED, Status.LOST: Level.LOST}
 # Least deviation from robot.yaml that is reported, in sigmas of the estimated value.
-_BEYOND_DOUBT = 5.0
+_SIGNIFICANT_SIGMAS = 5.0
 # Sigmas of an initialpose without covariance, which a person sets on a plan by hand.
 _START_SIGMA_M, _START_SIGMA_RAD = 0.3, 0.2
 
@@ -119,7 +119,7 @@ class OdometryFusionNode(ConfiguredNode):
         """Significant deviations of the estimated calibration from robot.yaml."""
         known, prior = self._fusion.calibration, self._fusion.robot
         off = known.values - prior.values
-        far = np.abs(off) > np.maximum(prior.sigmas, _BEYOND_DOUBT * known.sigmas)
+        far = np.abs(off) > np.maximum(prior.sigmas, _SIGNIFICANT_SIGMAS * known.sigmas)
         names = []
         for name, value in zip(NAMES, np.where(far, off, 0.0).tolist(), strict=True):
             factor, unit = SHOWN_IN[UNITS[name]]

@@ -119,7 +119,7 @@ def test_more_pairs_do_not_average_what_all_of_them_share():
         seen[1:, points[:, 0] > 4.99, 1] += 0.1  # moved after the first sweep
         panoramas = features(MANY[:count], seen, rng)
         result = relative_poses(panoramas, [odometry(MANY[:count])], LEVER, CONFIG)
-        sigma.append(np.linalg.norm(result.doubt[2::STATE], axis=1)[1])
+        sigma.append(np.linalg.norm(result.shared_errors[2::STATE], axis=1)[1])
         turn = wrap_rad(result.states[1, 2] - MANY[1, 2])
         assert abs(turn) < 3.0 * np.hypot(np.radians(0.1), sigma[-1])
     assert sigma[1] > 0.6 * sigma[0]
@@ -151,11 +151,13 @@ def test_things_that_move_together_do_not_make_a_wrong_pose_certain(moved_m, wal
     result = relative_poses(pair, [odometry(POSES[:2])], LEVER, CONFIG)
     # The noise, and what the pair cannot exclude.
     heading, course = directions_off(result.states, POSES[:2])[0]
-    sigma = np.hypot(np.radians(0.15), np.linalg.norm(result.doubt[STATE + 2]))
+    sigma = np.hypot(np.radians(0.15), np.linalg.norm(result.shared_errors[STATE + 2]))
     assert abs(heading) < 3.0 * sigma < np.radians(10.0)
     way = POSES[1, :2]
     across = np.array([-way[1], way[0]]) / (way @ way)
-    sigma = np.hypot(np.radians(0.15), np.linalg.norm(across @ result.doubt[STATE : STATE + 2]))
+    sigma = np.hypot(
+        np.radians(0.15), np.linalg.norm(across @ result.shared_errors[STATE : STATE + 2])
+    )
     assert abs(course) < 3.0 * sigma
 
 
@@ -246,6 +248,6 @@ def test_misses_are_zero_for_true_poses_and_their_slopes_are_right():
 
 
 @pytest.mark.parametrize('seed', [1, 2])
-def test_where_nothing_moved_there_is_no_doubt(seed):
+def test_where_nothing_moved_headings_are_certain(seed):
     result = found(POSES[:2], POSES[:2], seed)
-    assert np.linalg.norm(result.doubt[2::STATE], axis=1).max() < CONFIG.heading_sigma_rad
+    assert np.linalg.norm(result.shared_errors[2::STATE], axis=1).max() < CONFIG.heading_sigma_rad

@@ -91,7 +91,7 @@ def test_a_marker_is_found_with_its_number(slant_rad, azimuth):
 
 
 STATES = np.array([[0.08, 0, 0, 1.1, 0, 0], [1.77, 0.64, 0.5, 1.102, 0.004, -0.003]])
-NO_DOUBT = np.zeros((STATES.size, 1))
+NO_ERRORS = np.zeros((STATES.size, 1))
 SHEETS = np.array([[2.0, -1.8, 1.6], [3.1, 1.2, 1.4], [0.6, 2.1, 1.7]])
 
 
@@ -178,17 +178,17 @@ def test_sheets_that_contradict_the_poses_are_less_certain():
     wrong[1, 2] += 0.02
     source = papers(2)
     source.inflate(wrong)
-    contradicted = source.share(wrong, NO_DOUBT)
+    contradicted = source.share(wrong, NO_ERRORS)
     source.inflate(STATES)
-    assert source.share(STATES, NO_DOUBT).inflation == 1.0 < contradicted.inflation
-    # Doubt of the poses is doubt of the scale.
+    assert source.share(STATES, NO_ERRORS).inflation == 1.0 < contradicted.inflation
+    # Shared errors of the poses are errors of the scale.
     turned = np.zeros((STATES.size, 1))
     turned[STATE + 2] = 0.01
-    assert source.share(STATES, turned).sigma > source.share(STATES, NO_DOUBT).sigma
+    assert source.share(STATES, turned).sigma > source.share(STATES, NO_ERRORS).sigma
 
 
 def test_the_scale_that_sheets_give_is_consistent():
-    shares = [papers(seed).share(STATES, NO_DOUBT) for seed in range(60)]
+    shares = [papers(seed).share(STATES, NO_ERRORS) for seed in range(60)]
     # The error of the size given is in sigma, but not in these.
     noise = np.sqrt(np.array([s.sigma for s in shares]) ** 2 - 0.002**2)
     normal = (np.array([s.scale for s in shares]) - 1.0) / noise
@@ -218,16 +218,16 @@ def test_sources_that_disagree_are_named_with_their_sigmas(caplog):
         return PlaceSource(PlaceChain(STATES[:, :3], sigma**2 * np.diag([0, 0, 0, 2, 2, 1.0])))
 
     right, large = papers(5), papers(5, size=1.1)
-    agree = [s.share(STATES, NO_DOUBT) for s in (odometry(0.02), right)]
+    agree = [s.share(STATES, NO_ERRORS) for s in (odometry(0.02), right)]
     assert scale_sigma(agree) < min(share.sigma for share in agree)
-    doubtful = [s.share(STATES, NO_DOUBT) for s in (odometry(0.05), large)]
-    assert scale_sigma(doubtful) > 0.05
+    uncertain = [s.share(STATES, NO_ERRORS) for s in (odometry(0.05), large)]
+    assert scale_sigma(uncertain) > 0.05
     assert 'by odom the sweeps are' in caplog.text
     # Neither excludes the other, and either may be right.
-    apart = [s.share(STATES, NO_DOUBT) for s in (odometry(0.1), large)]
+    apart = [s.share(STATES, NO_ERRORS) for s in (odometry(0.1), large)]
     assert scale_sigma(apart) > abs(apart[0].scale - apart[1].scale) / 3.0
     with pytest.raises(LandmarkNavError, match=r'by odom .* than by papers \(\d'):
-        scale_sigma([s.share(STATES, NO_DOUBT) for s in (odometry(0.02), large)])
+        scale_sigma([s.share(STATES, NO_ERRORS) for s in (odometry(0.02), large)])
 
 
 COARSE = Cylinder.with_resolution(200.0, -0.3, 0.3)

@@ -143,7 +143,9 @@ def adjust(
     equations = problem.normal_equations(at, shared, weights)
     covariance = equations.shared_covariance.copy()
     if ties is not None:
-        covariance[problem.pose_part, problem.pose_part] += ties.doubt @ ties.doubt.T
+        covariance[problem.pose_part, problem.pose_part] += (
+            ties.shared_errors @ ties.shared_errors.T
+        )
     of_poses, views = covariance[problem.pose_part, problem.pose_part], np.arange(problem.views)
     root = root_of(covariance)
     shared_loading, rest, axes = _main_factors(equations.by_factors(root, count))

@@ -4,7 +4,7 @@ Check of the plan against the panoramas; uncertain walls are moved to the patche
 Stereo alone, without the walls, gives the positions of patches. Objects on a wall lie slightly in
 front of it, all along it; patches of a wall that is wrong in `room.yaml` are elsewhere, or at an
 angle. The adjustment trusts the panoramas more than the walls, so that landmarks are right anyway:
-doubtful walls cause a warning, and walls that are certainly wrong a refusal.
+uncertain walls cause a warning, and walls that are certainly wrong a refusal.
 """
 
 from __future__ import annotations

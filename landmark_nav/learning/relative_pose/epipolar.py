@@ -42,7 +42,7 @@ class RelativePoseConfig(Config):
     min_matches: int = 20
     # Greatest sigma of the heading of a sweep by errors that matches share: half of the greatest
     # error of a relative heading, 0.4 deg.
-    max_doubt_rad: float = 0.0035
+    max_heading_sigma_rad: float = 0.0035
 
 
 # State of a sweep: x, y of the pan axis, heading of the base, height of the viewpoint, tilt about

@@ -23,7 +23,7 @@ _LEAST_SINE = 0.3
 def placed(
     count: int,
     found: Mapping[Pair, TwoViews],
-    doubtful: Mapping[Pair, Sequence[TwoViews]],
+    ambiguous: Mapping[Pair, Sequence[TwoViews]],
     alone: Sequence[Pair],
     lengths: Mapping[Pair, Length],
     first: FloatArray,
@@ -43,7 +43,7 @@ def placed(
             if (i in done) != (j in done)
         }
         if not ways:
-            raise LandmarkNavError(_why_alone(count, done, doubtful, alone))
+            raise LandmarkNavError(_why_alone(count, done, ambiguous, alone))
         usable = {}
         for e, way in ways.items():
             others = [other for other in ways.values() if other.new == way.new]
@@ -105,7 +105,7 @@ class _Way(NamedTuple):
 def _why_alone(
     count: int,
     done: Set[int],
-    doubtful: Mapping[Pair, Sequence[TwoViews]],
+    ambiguous: Mapping[Pair, Sequence[TwoViews]],
     alone: Sequence[Pair],
 ) -> str:
     """Say what keeps a sweep from being placed."""
@@ -115,7 +115,7 @@ def _why_alone(
                 f'the panoramas of sweeps {i + 1} and {j + 1} are from one place: take another '
                 'sweep 1 to 3 m away'
             )
-    for (i, j), (best, second, *_) in doubtful.items():
+    for (i, j), (best, second, *_) in ambiguous.items():
         if (i in done) != (j in done):
             ways = ' or '.join(
                 f'{np.degrees(p.heading_rad):.0f} deg (way at {np.degrees(p.direction_rad):.0f})'

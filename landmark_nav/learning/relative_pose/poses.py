@@ -104,7 +104,7 @@ class RelativePoses:
         Relative sigma of the scale by all sources.
     wave_sigma_rad : float
         Sigma of directions of panoramas beyond the noise of features.
-    doubt : ndarray, shape (6 v, q)
+    shared_errors : ndarray, shape (6 v, q)
         Errors of the states that many matches share, as things of one wall moved or look alike.
     """
 
@@ -114,17 +114,17 @@ class RelativePoses:
     scales: tuple[ScaleShare, ...]
     scale_sigma: float
     wave_sigma_rad: float
-    doubt: FloatArray
+    shared_errors: FloatArray
 
-    def check_doubt(self, config: RelativePoseConfig) -> None:
+    def check_headings(self, config: RelativePoseConfig) -> None:
         """
         Report that errors of headings may be large.
 
         Raises `LandmarkNavError`: they may be too large.
         """
-        turns = np.linalg.norm(self.doubt[2::STATE], axis=1)
+        turns = np.linalg.norm(self.shared_errors[2::STATE], axis=1)
         worst, sigma = int(np.argmax(turns)) + 1, float(np.degrees(turns.max()))
-        if turns.max() > config.max_doubt_rad:
+        if turns.max() > config.max_heading_sigma_rad:
             raise LandmarkNavError(
                 f'panoramas leave the heading of sweep {worst} uncertain by {sigma:.1f} deg '
                 '(sigma): take a sweep between it and the others that sees more sides of the room'
@@ -172,8 +172,8 @@ def relative_poses(
         pairs = {
             (p.one, p.other): _alike(p.one, p.other, features, start, config) for p in before.pairs
         }
-    fit, sources, pairs_along, doubt = _fitted(start, pairs, known, sheets, config)
-    shares = tuple(source.share(fit.states, doubt) for source in sources)
+    fit, sources, pairs_along, shared_errors = _fitted(start, pairs, known, sheets, config)
+    shares = tuple(source.share(fit.states, shared_errors) for source in sources)
     # Given poses are not left out: they define the frame.
     if (odd := odd_source(shares)) and odd != 'sweep/pose':
         wrong, *others = sorted(shares, key=lambda share: share.name != odd)
@@ -181,8 +181,8 @@ def relative_poses(
         _LOG.warning('%s; %s is not used', contradiction(wrong, right), odd)
         known = [chain for chain in known if chain.source != odd]
         sheets = [[sheet for sheet in views if sheet.kind != odd] for views in sheets]
-        fit, sources, pairs_along, doubt = _fitted(start, pairs, known, sheets, config)
-        shares = tuple(source.share(fit.states, doubt) for source in sources)
+        fit, sources, pairs_along, shared_errors = _fitted(start, pairs, known, sheets, config)
+        shares = tuple(source.share(fit.states, shared_errors) for source in sources)
     return RelativePoses(
         fit.states,
         _known_covariance(fit.states, sources, config),
@@ -190,7 +190,7 @@ def relative_poses(
         shares,
         scale_sigma(shares),
         _wave_sigma(fit.states, pairs_along, config),
-        doubt,
+        shared_errors,
     )
 
 
@@ -213,7 +213,7 @@ def _found(
 ) -> tuple[FloatArray, dict[Pair, LikePairs]]:
     """Initial states (v, 6) by matches of pairs of panoramas, and the pairs that share enough."""
     found: dict[Pair, TwoViews] = {}
-    doubtful: dict[Pair, list[TwoViews]] = {}
+    ambiguous: dict[Pair, list[TwoViews]] = {}
     kept: dict[Pair, LikePairs] = {}
     alone = list[Pair]()
     pairs, partners = by_likeness(features, config)
@@ -240,7 +240,7 @@ def _found(
             known_ways.add((i, j))
             kept[i, j] = alike_along(0, 1, states_of(rivals[0]), alike, config, _KEPT_BAND)
         else:
-            doubtful[i, j] = rivals
+            ambiguous[i, j] = rivals
     lengths = sheet_tracks(sheets, found, ROUGH)[1] if sheets else {}
     if known:
         eyes = known[0].poses[:, :2]
@@ -248,8 +248,8 @@ def _found(
     first = np.zeros(STATE)
     first[:3] = known[0].poses[0] if known else [*lever[:2], 0.0]
     first[3] = lever[2]
-    states = placed(len(features), found, doubtful, alone, lengths, first)
-    for i, j in doubtful:
+    states = placed(len(features), found, ambiguous, alone, lengths, first)
+    for i, j in ambiguous:
         kept[i, j] = _alike(i, j, features, states, config)
     return states, kept
 
@@ -269,7 +269,7 @@ def _fitted(
     sheets: Sequence[Sequence[SheetView]],
     config: RelativePoseConfig,
 ) -> tuple[EpipolarFit, list[Source], list[RayPairs], FloatArray]:
-    """Fit to all matches and sources of the scale; return these too, and the doubt (6 v, q)."""
+    """Fit to all matches and sources of the scale; the last are shared errors (6 v, q)."""
     prior = np.zeros_like(start)
     prior[0, :3], prior[:, 3] = start[0, :3], start[0, 3]
     covariance, states = _prior_covariance(len(start), config), start
@@ -311,10 +311,10 @@ def _fitted(
         states = fit.states
     for source in sources:
         source.inflate(states)
-    return fit, sources, pairs, _doubt(fit, pairs, rigid, sources, precise, config)
+    return fit, sources, pairs, _shared_errors(fit, pairs, rigid, sources, precise, config)
 
 
-def _doubt(
+def _shared_errors(
     fit: EpipolarFit,
     pairs: Sequence[RayPairs],
     rigid: Sequence[RigidSet],
@@ -324,7 +324,7 @@ def _doubt(
 ) -> FloatArray:
     """Errors (6 v, q) of all states by those of pairs, which share the sections of the room."""
     size = fit.states.size
-    # Panoramas show no scale: without its sources it would be in doubt.
+    # Panoramas show no scale: without its sources it would be unknown.
     _, known = stacked(sources)(fit.states)
     information = solve_positive(_prior_covariance(len(fit.states), config), np.eye(size))
     information += known.T @ known

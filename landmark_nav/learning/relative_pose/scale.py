@@ -28,7 +28,7 @@ _LOG = logging.getLogger(__name__)
 # inflated. They are refused if the relative sigma of the scale exceeds the second value.
 _CHANCE, _MOST_SCALE_SIGMA = 1e-2, 0.15
 # Scales that differ by the first number of sigmas cause a warning, by the second a refusal.
-_DOUBTFUL_SIGMAS, _MOST_SIGMAS = 2.0, 3.0
+_APART_SIGMAS, _MOST_SIGMAS = 2.0, 3.0
 
 Rows = tuple[FloatArray, FloatArray]
 
@@ -84,8 +84,8 @@ class PlaceSource:
         """Change of all poses but the first by slips of the ways: one moves all later poses."""
         return np.asarray(np.kron(np.tri(count - 1), np.eye(3)[:, :2]), dtype=np.float64)
 
-    def share(self, states: FloatArray, doubt: FloatArray) -> ScaleShare:
-        """Scale by this source; `doubt` (6 v, q) are errors of the states."""
+    def share(self, states: FloatArray, shared_errors: FloatArray) -> ScaleShare:
+        """Scale by this source; `shared_errors` (6 v, q) are errors of the states."""
         rows = self.rows(states)
         scale, sigma = _scale_by(rows, states)
         # Derivative of the scale by each state.
@@ -93,7 +93,7 @@ class PlaceSource:
         by_places = by_states.reshape(-1, STATE)[1:, :3].ravel()
         slip = self.places.slip_m * float(np.linalg.norm(by_places @ self._by_slip(len(states))))
         own = self.inflation * by_places @ self.places.covariance[3:, 3:] @ by_places
-        sigma = float(np.sqrt(own + np.sum((by_states @ doubt) ** 2)))
+        sigma = float(np.sqrt(own + np.sum((by_states @ shared_errors) ** 2)))
         return ScaleShare(self.name, scale, sigma, self.inflation, slip=slip)
 
     def inflate(self, states: FloatArray) -> None:
@@ -166,12 +166,12 @@ class SheetSource:
         rows /= np.sqrt(self.inflation)
         return rows[:, 0], rows[:, 1:]
 
-    def share(self, states: FloatArray, doubt: FloatArray) -> ScaleShare:
+    def share(self, states: FloatArray, shared_errors: FloatArray) -> ScaleShare:
         """Scale by these sheets, as that of `PlaceSource`."""
         rows = self.rows(states)
         scale, sigma = _scale_by(rows, states)
         by_states = sigma**2 * (_growth(states) @ rows[1].T) @ rows[1]
-        sigma = float(np.hypot(sigma, np.linalg.norm(by_states @ doubt)))
+        sigma = float(np.hypot(sigma, np.linalg.norm(by_states @ shared_errors)))
         return ScaleShare(self.name, scale, sigma, self.inflation, len(self.tracks))
 
     def inflate(self, states: FloatArray) -> None:
@@ -263,7 +263,7 @@ def scale_sigma(shares: Sequence[ScaleShare]) -> float:
         sigmas = _sigmas_apart(one, other)
         if sigmas > _MOST_SIGMAS:
             raise LandmarkNavError(f'{contradiction(one, other)}; leave out what is wrong')
-        if sigmas > _DOUBTFUL_SIGMAS:
+        if sigmas > _APART_SIGMAS:
             _LOG.warning('%s', contradiction(one, other))
     scales = np.array([k.scale for k in shares])
     weights = np.array([1.0 / (k.sigma**2 + k.slip**2) for k in shares])

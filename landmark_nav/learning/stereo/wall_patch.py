@@ -109,13 +109,13 @@ class Ties:
     """
     Points (n, 3) in map, and the measurements of each in two panoramas.
 
-    `doubt` (4 v, q) are errors of the poses x, y, z, heading of v panoramas that these share, as
+    `shared_errors` (4 v, q) are errors that the poses x, y, z, heading of v panoramas share, as
     factors with unit variance.
     """
 
     positions: FloatArray
     measurements: list[list[PatchMeasurement]]
-    doubt: FloatArray
+    shared_errors: FloatArray
 
     def seen_by(self, panorama: int) -> FloatArray:
         """Points (m, 3) that a panorama shows."""

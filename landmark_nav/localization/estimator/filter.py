@@ -403,7 +403,7 @@ class JointFilter:
             correct, update = partial(_passed_over, prior, seen), update.unused
         after = correct()
         if not (unused or moved):
-            after = self._doubting(after, update, new)
+            after = self._with_moved(after, update, new)
         if unused or moved:
             # The image says nothing of its new landmarks, which stay new.
             after = after.only(~np.isin(after.landmarks, seen.columns[new]))
@@ -465,7 +465,7 @@ class JointFilter:
         prior = self._displaced(expected.prior, columns, share * config.moved_sigma_m**2)
         return _Hypothesis(prior, *self._corrected(prior, seen, new))
 
-    def _doubting(self, state: State, update: Update, new: npt.NDArray[np.bool_]) -> State:
+    def _with_moved(self, state: State, update: Update, new: npt.NDArray[np.bool_]) -> State:
         """Return the state with wider own errors of new landmarks that are found to be off."""
         looser = 1.0 / update.weight[new]
         if not (looser > 1.0).any():
