@@ -227,7 +227,7 @@ def test_poses_without_a_plan_by_a_camera_far_off_its_axis():
 
 
 @pytest.mark.parametrize(
-    ('rise_m', 'sigmas', 'words'), [(0.5, {}, ''), (0.06, dict.fromkeys(NAMES, 0.0), 'exact')]
+    ('rise_m', 'sigmas', 'words'), [(0.5, {}, '.'), (0.06, dict.fromkeys(NAMES, 0.0), 'exact')]
 )
 def test_a_mount_that_is_implausible_or_contradicts_its_sigma_is_refused(rise_m, sigmas, words):
     x, y, z = MOUNT.axis_xyz

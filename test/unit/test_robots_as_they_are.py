@@ -221,7 +221,7 @@ def test_topics_of_other_names_are_given(tmp_path):
     found, warnings = pans(path, topics=topics)
     np.testing.assert_allclose(found, PANS)
     assert warnings == []
-    with pytest.raises(LandmarkNavError, match=r'--topic odom=/gone: not in the bag; '):
+    with pytest.raises(LandmarkNavError, match=r'--topic odom=/gone: not in the bag'):
         pans(path, topics={**topics, 'odom': 'gone'})
     with pytest.raises(LandmarkNavError, match=r'odom is missing.*give --topic odom=/wheels'):
         pans(path, topics={k: v for k, v in topics.items() if k != 'odom'})
