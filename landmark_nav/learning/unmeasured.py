@@ -21,6 +21,7 @@ from landmark_nav.geometry.se2 import rotation
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.facades.outline import open_room, room_of
 from landmark_nav.learning.facades.planes import (
+    Facade,
     FacadesConfig,
     find_facades,
     placed_matches,
@@ -85,7 +86,7 @@ class UnmeasuredConfig(Config):
 @dataclass(frozen=True, eq=False)
 class Located:
     """
-    Panoramas with poses, the room found around them, and the covariance of their poses.
+    Panoramas with poses, facades and the room of them, and the covariance of the poses.
 
     `places` (4 v, 4 v) is the joint covariance of the viewpoints by the sources of the scale, for
     a fixed scale: `poses.scale_sigma` is the sigma of the scale of the whole map. `ties` are the
@@ -93,6 +94,7 @@ class Located:
     """
 
     panoramas: tuple[Panorama, ...]
+    facades: tuple[Facade, ...]
     room: Room
     places: FloatArray
     poses: RelativePoses
@@ -163,9 +165,8 @@ def locate(
         for p, eye, state in zip(panoramas, eyes, poses.states, strict=True)
     ]
     places = _viewpoints(poses)
-    return Located(
-        tuple(located), room, places, poses, ties, config.relative_pose.heading_sigma_rad
-    )
+    turn = config.relative_pose.heading_sigma_rad
+    return Located(tuple(located), tuple(facades), room, places, poses, ties, turn)
 
 
 def locate_sweeps(
@@ -267,11 +268,10 @@ def with_plan(located: Located, plan: Room) -> Located:
     """
     Replace the walls found by those of a plan in the frame of the map.
 
-    Raises `LandmarkNavError`: walls were found, but most are not in the plan.
+    Raises `LandmarkNavError`: facades were found, but most are not in the plan.
     """
-    found = [wall for wall in located.room.walls if wall.sigma_m]
-    middles = np.array([np.mean([wall.start, wall.end], axis=0) for wall in found])
-    if found and np.median(plan.wall_distances(middles).min(axis=1)) > _OTHER_PLAN_M:
+    middles = np.array([0.5 * (facade.start + facade.end) for facade in located.facades])
+    if len(middles) and np.median(plan.wall_distances(middles).min(axis=1)) > _OTHER_PLAN_M:
         raise LandmarkNavError(
             'the walls of the room file are not where the sweeps see walls: without papers and '
             'sweep/pose its origin is base_link at the first sweep, as in the file of --walls-out'

@@ -72,7 +72,9 @@ def test_the_walls_found_can_be_corrected_and_given(learned, tmp_path):
 
 
 def test_a_plan_in_another_frame_is_refused(learned):
-    found: Any = SimpleNamespace(room=load_room(learned[1] / 'room.yaml'))
+    walls = load_room(learned[1] / 'room.yaml').walls
+    facades = [SimpleNamespace(start=np.array(w.start), end=np.array(w.end)) for w in walls]
+    found: Any = SimpleNamespace(facades=facades)
     with pytest.raises(LandmarkNavError, match='first sweep'):
         with_plan(found, load_room(BAGS / 'room.yaml'))
 

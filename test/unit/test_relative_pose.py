@@ -18,8 +18,11 @@ from landmark_nav.learning.relative_pose.epipolar import (
 )
 from landmark_nav.learning.relative_pose.features import Features
 from landmark_nav.learning.relative_pose.pairs import Directions
+from landmark_nav.learning.relative_pose.placing import placed
 from landmark_nav.learning.relative_pose.poses import relative_poses
 from landmark_nav.learning.relative_pose.rigid_sets import rigid_set
+from landmark_nav.learning.relative_pose.sheet_tracks import Length
+from landmark_nav.learning.relative_pose.two_views import two_views_of
 from landmark_nav.types import PlaceChain
 
 CONFIG = RelativePoseConfig()
@@ -214,6 +217,19 @@ def test_odometry_that_contradicts_the_panoramas_is_refused(wrong, count, sigma)
     known = odometry(np.array([[0.0, 0.0, 0.0], wrong]), *sigma)
     with pytest.raises(LandmarkNavError, match='odom and panoramas disagree'):
         relative_poses(seen, [known], LEVER, CONFIG)
+
+
+def test_sweeps_are_placed_where_ways_cross_not_as_far_away_as_a_single_sheet_says():
+    states = np.zeros((3, STATE))
+    states[:, :3] = [[0.0, 0.0, 0.0], [1.8, 0.1, 0.5], [3.2, -0.25, -2.0]]
+    found = {pair: two_views_of(states, *pair) for pair in combinations(range(3), 2)}
+    way = states[1] - states[0]
+    lengths = {(0, 1): Length(float(np.hypot(*way[:2])), 5.0), (1, 2): Length(1.0, 0.0)}
+    at = placed(3, found, {}, [], lengths, states[0])
+    np.testing.assert_allclose(at[:, :3], states[:, :3], atol=1e-6)
+    still = dict.fromkeys(found, Length(0.0, np.inf))
+    with pytest.raises(LandmarkNavError, match='odom shows no motion'):
+        placed(3, found, {}, [], still, states[0])
 
 
 def test_panoramas_of_different_rooms_or_of_one_place_are_refused():

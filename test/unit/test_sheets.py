@@ -91,6 +91,7 @@ def test_a_marker_is_found_with_its_number(slant_rad, azimuth):
 
 
 STATES = np.array([[0.08, 0, 0, 1.1, 0, 0], [1.77, 0.64, 0.5, 1.102, 0.004, -0.003]])
+FOUR = np.vstack([STATES, [2.4, -0.9, -2.0, 1.1, 0.0, 0.0], [0.6, 1.4, 1.0, 1.1, 0.0, 0.0]])
 NO_ERRORS = np.zeros((STATES.size, 1))
 SHEETS = np.array([[2.0, -1.8, 1.6], [3.1, 1.2, 1.4], [0.6, 2.1, 1.7]])
 
@@ -151,19 +152,28 @@ def test_a_pair_whose_sheets_contradict_each_other_is_refused_unless_another_sho
 
 def test_false_sheets_of_one_pair_do_not_change_the_scale_of_all():
     rng = np.random.default_rng(5)
-    states = np.vstack([STATES, [2.4, -0.9, -2.0, 1.1, 0.0, 0.0]])
-    sheets = [views(state, rng) for state in states]
-    for seen, state in zip(sheets[:2], states, strict=False):
+    sheets = [views(state, rng) for state in FOUR]
+    for seen, state in zip(sheets[:2], FOUR, strict=False):
         seen[2:] = views(state, rng, size=0.45)  # posters that only two sweeps show
-    found = {pair: two_views_of(states, *pair) for pair in combinations(range(3), 2)}
-    ways = {(i, j): float(np.hypot(*(states[j] - states[i])[:2])) for i, j in found}
+    found = {pair: two_views_of(FOUR, *pair) for pair in combinations(range(4), 2)}
+    ways = {(i, j): float(np.hypot(*(FOUR[j] - FOUR[i])[:2])) for i, j in found}
     assert sheet_tracks(sheets, found, FINE)[1][0, 1].length_m > 1.5 * ways[0, 1]
     tracks, lengths = sheet_tracks(sheets, found, FINE, ways)
-    share = SheetSource('papers', tracks).share(states, np.zeros((states.size, 1)))
+    share = SheetSource('papers', tracks).share(FOUR, np.zeros((FOUR.size, 1)))
     assert abs(share.scale - 1.0) < 3.0 * share.sigma < 0.05
     assert {pair: length.length_m for pair, length in lengths.items()} == pytest.approx(
         ways, rel=0.02
     )
+
+
+def test_two_sizes_that_all_sweeps_show_alike_are_refused():
+    found = {pair: two_views_of(FOUR, *pair) for pair in combinations(range(4), 2)}
+    ways = {(i, j): float(np.hypot(*(FOUR[j] - FOUR[i])[:2])) for i, j in found}
+    for seed in range(10):
+        rng = np.random.default_rng(seed)
+        sheets = [[*views(s, rng)[:2], *views(s, rng, 1.4, 'def')[:2]] for s in FOUR]
+        with pytest.raises(LandmarkNavError, match='check the size'):
+            sheet_tracks(sheets, found, FINE, ways)
 
 
 def test_a_sheet_of_another_size_is_left_out_of_several():

@@ -16,8 +16,9 @@ from landmark_nav.learning.relative_pose.sheet_tracks import Length
 from landmark_nav.learning.relative_pose.two_views import TwoViews
 from landmark_nav.types import FloatArray
 
-# Least sine of the angle at which two ways to a sweep determine its place.
-_LEAST_SINE = 0.3
+# Least sine of the angle at which two ways to a sweep determine its place, and do so better than
+# a length that has been confirmed.
+_LEAST_SINE, _STEEP_SINE = 0.03, 0.3
 
 
 def placed(
@@ -47,10 +48,17 @@ def placed(
         usable = {}
         for e, way in ways.items():
             others = [other for other in ways.values() if other.new == way.new]
-            if length := way.crossed(states, others) or (e in lengths and lengths[e].length_m):
+            length, lead = lengths.get(e, (0.0, 0.0))
+            sine = _STEEP_SINE if length and lead else _LEAST_SINE
+            if length := way.crossed(states, others, sine) or length:
                 usable[e] = length
         if not usable:
-            lacks = next(k for k in range(count) if k not in done)
+            if still := next((e for e in ways if e in lengths), None):
+                raise LandmarkNavError(
+                    f'odom shows no motion between sweeps {still[0] + 1} and {still[1] + 1}, '
+                    'which the panoramas do: record it while the robot drives'
+                )
+            lacks = min(way.new for way in ways.values())
             raise LandmarkNavError(
                 f'nothing gives the scale: sweep {lacks + 1} shows no sheet of the size given '
                 'that another sweep shows, too: hang sheets that both see, or record odom'
@@ -90,9 +98,9 @@ class _Way(NamedTuple):
         course = pose.direction_rad + (here if forward else heading + np.pi)
         return cls(near, new, forward, heading, np.array([np.cos(course), np.sin(course)]))
 
-    def crossed(self, states: FloatArray, others: Sequence[_Way]) -> float:
+    def crossed(self, states: FloatArray, others: Sequence[_Way], least_sine: float) -> float:
         """Length at which the way that meets this at the largest angle does so; 0 if none does."""
-        best, length = _LEAST_SINE, 0.0
+        best, length = least_sine, 0.0
         for other in others:
             sine = float(cross(self.along, other.along))
             gap = states[other.near, :2] - states[self.near, :2]

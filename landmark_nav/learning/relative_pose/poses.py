@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import combinations
 import logging
 
 import numpy as np
@@ -244,7 +245,10 @@ def _found(
     lengths = sheet_tracks(sheets, found, ROUGH)[1] if sheets else {}
     if known:
         eyes = known[0].poses[:, :2]
-        lengths = {(i, j): Length(float(np.hypot(*(eyes[j] - eyes[i]))), 0) for i, j in found}
+        lengths = {(i, j): Length(float(np.hypot(*(eyes[j] - eyes[i]))), np.inf) for i, j in found}
+    if sheets and found and not lengths:
+        # Sheets that only other pairs show give the scale of all once they are placed.
+        lengths = {max(found, key=lambda pair: found[pair].support): Length(1.0, 0.0)}
     first = np.zeros(STATE)
     first[:3] = known[0].poses[0] if known else [*lever[:2], 0.0]
     first[3] = lever[2]
@@ -281,8 +285,10 @@ def _fitted(
     rigid: list[RigidSet] = []
     precise = config.feature_sigma_rad
     for number in range(_ROUNDS):
-        poses = {pair: two_views_of(states, *pair) for pair in matched}
-        ways = {(i, j): float(np.hypot(*(states[j] - states[i])[:2])) for i, j in matched}
+        # Also pairs whose features were not compared may show a sheet.
+        every = list(combinations(range(len(states)), 2))
+        poses = {pair: two_views_of(states, *pair) for pair in every}
+        ways = {(i, j): float(np.hypot(*(states[j] - states[i])[:2])) for i, j in every}
         rough = FINE if number else ROUGH
         tracks = sheet_tracks(sheets, poses, rough, ways)[0] if sheets else []
         seen = SheetSource.of_kinds(tracks)

@@ -9,10 +9,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import product
 from typing import NamedTuple
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.special import chdtri
 
 from landmark_nav.errors import LandmarkNavError
@@ -29,7 +32,7 @@ ROUGH, FINE = 0.006, 0.0015
 # sigmas; greatest relative sigma of a useful length.
 _CHANCE, _SAME_SIGMAS, _MOST_SIGMA = 1e-3, 3.0, 0.1
 # By chance, a scale is anywhere within a factor of ten to either side: the width of its logarithm.
-# Odds by which a scale must be likelier than another.
+# Odds by which a scale must be likelier than another, beyond two sigmas of their noise.
 _BY_CHANCE, _ODDS = 2.0 * np.log(10.0), 3.0
 # Number of directions that a sheet may face, which are tried.
 _SLANTS = 2881
@@ -57,7 +60,7 @@ class SheetTrack:
 
 
 class Length(NamedTuple):
-    """Length of a baseline by sheets, and logarithm of its odds to another length."""
+    """Length of a baseline, and logarithm of its odds to another length."""
 
     length_m: float
     lead: float
@@ -72,10 +75,12 @@ class _Pair:
     scale: float
     sigma: float
 
-    def gain(self, scale: float) -> float:
-        """Logarithm of the likelihood ratio of a scale to chance."""
-        peak = _BY_CHANCE / (np.sqrt(2.0 * np.pi) * self.sigma)
-        return float(np.log(peak) - 0.5 * ((self.scale - scale) / self.sigma) ** 2)
+
+def _gains(pairs: Sequence[_Pair], scale: float) -> FloatArray:
+    """Logarithms (n,) of the likelihood ratio of a scale to chance, by each pair."""
+    scales, sigmas = np.array([(pair.scale, pair.sigma) for pair in pairs]).reshape(-1, 2).T
+    peaks = np.log(_BY_CHANCE / (np.sqrt(2.0 * np.pi) * sigmas))
+    return np.asarray(peaks - 0.5 * ((scales - scale) / sigmas) ** 2)
 
 
 @dataclass(frozen=True)
@@ -84,24 +89,39 @@ class _Group:
 
     pairs: tuple[_Pair, ...] = ()
 
-    @property
-    def _weight(self) -> FloatArray:
-        return np.array([pair.sigma**-2 for pair in self.pairs])
+    @cached_property
+    def _shares(self) -> FloatArray:
+        """Independent lengths that each pair (n,) is worth: a sheet in m views gives m - 1."""
+        seen = [view for pair in self.pairs for view in (pair.one, pair.other)]
+        _, ends = np.unique(seen, axis=0, return_inverse=True)
+        one, other = ends.reshape(-1, 2).T
+        links = coo_array((np.ones(len(one)), (one, other)), shape=2 * (ends.max() + 1,))
+        sheet = connected_components(links, directed=False)[1]
+        views, pairs = np.bincount(sheet), np.bincount(sheet[one])
+        return np.asarray(((views - 1) / pairs)[sheet[one]])
 
-    @property
+    @cached_property
+    def _information(self) -> FloatArray:
+        return np.asarray(self._shares / np.square([pair.sigma for pair in self.pairs]))
+
+    @cached_property
     def scale(self) -> float:
         """Weighted mean of the logarithm of the scale."""
-        return float(np.average([pair.scale for pair in self.pairs], weights=self._weight))
+        return float(np.average([pair.scale for pair in self.pairs], weights=self._information))
 
-    @property
+    @cached_property
     def evidence(self) -> float:
         """Logarithm of the likelihood ratio to chance, over all scales: 0 for a single pair."""
         if not self.pairs:
             return 0.0
-        sigma = np.sqrt(2.0 * np.pi / self._weight.sum())
-        return sum(pair.gain(self.scale) for pair in self.pairs) + float(
-            np.log(sigma / _BY_CHANCE)
-        )
+        sigma = np.sqrt(2.0 * np.pi / self._information.sum())
+        gain = self._shares @ _gains(self.pairs, self.scale)
+        return float(gain + np.log(sigma / _BY_CHANCE))
+
+    @property
+    def noise(self) -> float:
+        """Variance of the evidence by the errors of lengths: that of half a chi-square."""
+        return 0.5 * float(self._shares.sum()) if self.pairs else 0.0
 
 
 def sheet_tracks(
@@ -116,7 +136,7 @@ def sheet_tracks(
     Pairs of views whose sheets support two lengths alike are left out. With the baselines of all,
     which then have one scale, all sheets of a kind support the same.
 
-    Raises `LandmarkNavError`: no other pair shows a sheet.
+    Raises `LandmarkNavError`: nothing else gives a length.
 
     Parameters
     ----------
@@ -133,7 +153,7 @@ def sheet_tracks(
     -------
     tracks : list of SheetTrack
     lengths : dict
-        Baselines of pairs that share sheets, m.
+        Baselines of pairs that share sheets.
     """
     links: list[_Link] = []
     lengths, undecided = dict[tuple[int, int], Length](), list[str]()
@@ -149,7 +169,7 @@ def sheet_tracks(
         ]
         best, rival = _agreed(ways)
         lead = best.evidence - rival.evidence
-        if rival.pairs and lead < np.log(_ODDS):
+        if rival.pairs and lead < np.log(_ODDS) + 2.0 * np.sqrt(best.noise + rival.noise):
             i, j = best.pairs[0].one[0], best.pairs[0].other[0]
             apart = [f'{np.exp(group.scale) * units[i, j]:.2f} m' for group in (best, rival)]
             undecided.append(
@@ -181,11 +201,16 @@ def _agreed(pairs: Sequence[_Pair]) -> tuple[_Group, _Group]:
     """Views of sheets that agree on the likeliest scale, and on the likeliest other scale."""
 
     def likeliest(among: Sequence[_Pair]) -> _Group:
-        groups = [_distinct([p for p in among if p.gain(q.scale) > 0.0]) for q in among]
+        groups = [_distinct(_likely(among, q.scale)) for q in among]
         return max(groups, key=lambda group: group.evidence, default=_Group())
 
     best = likeliest(pairs)
     return best, likeliest([p for p in pairs if not any(_same(p, q) for q in best.pairs)])
+
+
+def _likely(pairs: Sequence[_Pair], scale: float) -> list[_Pair]:
+    """Pairs that are likelier at a scale than by chance."""
+    return [p for p, gain in zip(pairs, _gains(pairs, scale), strict=True) if gain > 0.0]
 
 
 def _ways(
