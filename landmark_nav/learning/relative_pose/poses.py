@@ -8,6 +8,7 @@ then fitted to all matches at once.
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from functools import partial
 from itertools import combinations
@@ -242,12 +243,14 @@ def _found(
             kept[i, j] = alike_along(0, 1, states_of(rivals[0]), alike, config, _KEPT_BAND)
         else:
             ambiguous[i, j] = rivals
-    lengths = sheet_tracks(sheets, found, ROUGH)[1] if sheets else {}
+    lengths: dict[Pair, Length] = {}
+    with suppress(LandmarkNavError):  # what no pair decides, all together may
+        lengths = sheet_tracks(sheets, found, ROUGH)[1]
     if known:
         eyes = known[0].poses[:, :2]
         lengths = {(i, j): Length(float(np.hypot(*(eyes[j] - eyes[i]))), np.inf) for i, j in found}
     if sheets and found and not lengths:
-        # Sheets that only other pairs show give the scale of all once they are placed.
+        # All sheets together give the scale once all sweeps are placed.
         lengths = {max(found, key=lambda pair: found[pair].support): Length(1.0, 0.0)}
     first = np.zeros(STATE)
     first[:3] = known[0].poses[0] if known else [*lever[:2], 0.0]

@@ -90,19 +90,8 @@ class _Group:
     pairs: tuple[_Pair, ...] = ()
 
     @cached_property
-    def _shares(self) -> FloatArray:
-        """Independent lengths that each pair (n,) is worth: a sheet in m views gives m - 1."""
-        seen = [view for pair in self.pairs for view in (pair.one, pair.other)]
-        _, ends = np.unique(seen, axis=0, return_inverse=True)
-        one, other = ends.reshape(-1, 2).T
-        links = coo_array((np.ones(len(one)), (one, other)), shape=2 * (ends.max() + 1,))
-        sheet = connected_components(links, directed=False)[1]
-        views, pairs = np.bincount(sheet), np.bincount(sheet[one])
-        return np.asarray(((views - 1) / pairs)[sheet[one]])
-
-    @cached_property
     def _information(self) -> FloatArray:
-        return np.asarray(self._shares / np.square([pair.sigma for pair in self.pairs]))
+        return np.asarray(1.0 / np.square([pair.sigma for pair in self.pairs]))
 
     @cached_property
     def scale(self) -> float:
@@ -115,13 +104,20 @@ class _Group:
         if not self.pairs:
             return 0.0
         sigma = np.sqrt(2.0 * np.pi / self._information.sum())
-        gain = self._shares @ _gains(self.pairs, self.scale)
-        return float(gain + np.log(sigma / _BY_CHANCE))
+        return float(_gains(self.pairs, self.scale).sum() + np.log(sigma / _BY_CHANCE))
 
     @property
     def noise(self) -> float:
-        """Variance of the evidence by the errors of lengths: that of half a chi-square."""
-        return 0.5 * float(self._shares.sum()) if self.pairs else 0.0
+        """Variance of the evidence: the p pairs of a sheet in m views have m - 1 own errors."""
+        if not self.pairs:
+            return 0.0
+        seen = [view for pair in self.pairs for view in (pair.one, pair.other)]
+        _, ends = np.unique(seen, axis=0, return_inverse=True)
+        one, other = ends.reshape(-1, 2).T
+        links = coo_array((np.ones(len(one)), (one, other)), shape=2 * (ends.max() + 1,))
+        sheet = connected_components(links, directed=False)[1]
+        # Half of a chi-square of m - 1 degrees of freedom, p / (m - 1) times as large.
+        return float(np.sum(0.5 * np.bincount(sheet[one]) ** 2 / (np.bincount(sheet) - 1)))
 
 
 def sheet_tracks(
