@@ -249,7 +249,7 @@ def _found(
     if known:
         eyes = known[0].poses[:, :2]
         lengths = {(i, j): Length(float(np.hypot(*(eyes[j] - eyes[i]))), np.inf) for i, j in found}
-    if sheets and found and not lengths:
+    if any(sheets) and found and not lengths:
         # All sheets together give the scale once all sweeps are placed.
         lengths = {max(found, key=lambda pair: found[pair].support): Length(1.0, 0.0)}
     first = np.zeros(STATE)
@@ -301,8 +301,8 @@ def _fitted(
                 source.inflate(states)
         if not sources:
             raise LandmarkNavError(
-                'nothing gives the scale: sheets that several sweeps show contradict their poses: '
-                'hang more sheets of the size given, or record odom'
+                'nothing gives the scale: no two sweeps show a sheet of the size given at one '
+                'place: hang more of them where several sweeps see them, or record odom'
             )
         pairs = [matches_along(*p, states, alike, config) for p, alike in matched.items()]
         others = stacked(sources)
