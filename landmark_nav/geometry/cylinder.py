@@ -119,7 +119,16 @@ def _first_few(words: Sequence[str], between: str) -> str:
 
 
 def unseen_arcs(pan_rad: npt.ArrayLike, half_fov_rad: float) -> list[tuple[float, float]]:
-    """Arcs (from, to), counter-clockwise, radians, that no frame at pans (n,) sees."""
+    """
+    Arcs (from, to), counter-clockwise, radians, that no frame covers.
+
+    Parameters
+    ----------
+    pan_rad : array_like, shape (n,)
+        Pans of the frames, in any order, not necessarily wrapped.
+    half_fov_rad : float
+        Half the horizontal field of view.
+    """
     pan = np.unique(np.mod(np.asarray(pan_rad, dtype=np.float64), 2.0 * np.pi))
     if not len(pan):
         return [(-np.pi, np.pi)]
@@ -132,7 +141,18 @@ def unseen_arcs(pan_rad: npt.ArrayLike, half_fov_rad: float) -> list[tuple[float
 def describe_coverage(
     pan_rad: npt.ArrayLike, half_fov_rad: float, missing_rad: npt.ArrayLike = ()
 ) -> str:
-    """Message about gaps of a sweep with frames at pans (n,), and missing ones at (m,)."""
+    """
+    Message about the gaps of a sweep; empty if no frame is missing and the turn is complete.
+
+    Parameters
+    ----------
+    pan_rad : array_like, shape (n,)
+        Pans of the frames.
+    half_fov_rad : float
+        Half the horizontal field of view.
+    missing_rad : array_like, shape (m,)
+        Pans of the missing frames.
+    """
     missing = [f'{np.degrees(pan):.0f}' for pan in np.asarray(missing_rad, dtype=np.float64)]
     arcs = [
         f'from pan {np.degrees(a):.0f} to {np.degrees(b):.0f} deg'

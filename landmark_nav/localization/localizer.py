@@ -116,7 +116,14 @@ class Localizer:
         return self.fusion.add_odometry(sample)
 
     def add_frame(self, frame: CameraFrame) -> LocalizationUpdate | PoseEstimate | Refusal:
-        """Correct the pose by an image; while there is none, return that found or why none is."""
+        """
+        Correct the pose by an image, or search for the place while there is no pose.
+
+        Returns
+        -------
+        LocalizationUpdate or PoseEstimate or Refusal
+            An update if there was a pose before; otherwise the pose found, or why none was found.
+        """
         self.fusion.use_camera(frame.camera.intrinsics)
         expected = self.fusion.expectation(frame.stamp_ns)
         if expected is None:

@@ -86,10 +86,7 @@ class PlaceSource:
 
     def share(self, states: FloatArray, shared_errors: FloatArray) -> ScaleShare:
         """Scale by this source; `shared_errors` (6 v, q) are errors of the states."""
-        rows = self.rows(states)
-        scale, sigma = _scale_by(rows, states)
-        # Derivative of the scale by each state.
-        by_states = sigma**2 * (_growth(states) @ rows[1].T) @ rows[1]
+        scale, _, by_states = _scale_by(self.rows(states), states)
         by_places = by_states.reshape(-1, STATE)[1:, :3].ravel()
         slip = self.places.slip_m * float(np.linalg.norm(by_places @ self._by_slip(len(states))))
         own = self.inflation * by_places @ self.places.covariance[3:, 3:] @ by_places
@@ -146,7 +143,7 @@ class SheetSource:
     def agreeing(self, states: FloatArray) -> SheetSource:
         """Leave out sheets whose scale contradicts that of most others: they have another size."""
         single = [SheetSource(self.name, [track]).rows(states) for track in self.tracks]
-        scale, sigma = np.array([_scale_by(rows, states) for rows in single]).T
+        scale, sigma = np.array([_scale_by(rows, states)[:2] for rows in single]).T
         apart = np.abs(scale - scale[:, None]) > _MOST_SIGMAS * np.hypot(sigma, sigma[:, None])
         alike = (~apart).sum(axis=0)
         kept = ~apart[int(np.lexsort((sigma, -alike))[0])]
@@ -168,9 +165,7 @@ class SheetSource:
 
     def share(self, states: FloatArray, shared_errors: FloatArray) -> ScaleShare:
         """Scale by these sheets, as that of `PlaceSource`."""
-        rows = self.rows(states)
-        scale, sigma = _scale_by(rows, states)
-        by_states = sigma**2 * (_growth(states) @ rows[1].T) @ rows[1]
+        scale, sigma, by_states = _scale_by(self.rows(states), states)
         sigma = float(np.hypot(sigma, np.linalg.norm(by_states @ shared_errors)))
         return ScaleShare(self.name, scale, sigma, self.inflation, len(self.tracks))
 
@@ -193,17 +188,18 @@ class SheetSource:
 Source = PlaceSource | SheetSource
 
 
-def _scale_by(rows: Rows, states: FloatArray) -> tuple[float, float]:
-    """Best factor on all baselines for some rows, for a fixed shape, and its sigma."""
+def _scale_by(rows: Rows, states: FloatArray) -> tuple[float, float, FloatArray]:
+    """Best factor on all baselines for a fixed shape, its sigma, derivatives (6 v,) by states."""
     off, jacobian = rows
     slope = jacobian @ _growth(states)
     information = float(slope @ slope)
-    return 1.0 - float(slope @ off) / information, information**-0.5
+    by_states = slope @ jacobian / information
+    return 1.0 - float(slope @ off) / information, information**-0.5, by_states
 
 
 def _inflation(rows: Rows, states: FloatArray, freedom: int) -> float:
     """Factor on the variances by the misfit, without that of the scale; 1 if by chance."""
-    scale, sigma = _scale_by(rows, states)
+    scale, sigma, _ = _scale_by(rows, states)
     misfit = float(rows[0] @ rows[0]) - ((scale - 1.0) / sigma) ** 2
     return misfit / freedom if misfit > chdtri(freedom, _CHANCE) else 1.0
 

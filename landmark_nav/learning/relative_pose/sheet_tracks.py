@@ -14,8 +14,6 @@ from itertools import product
 from typing import NamedTuple
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.special import chdtri
 
 from landmark_nav.errors import LandmarkNavError
@@ -109,15 +107,10 @@ class _Group:
     @property
     def noise(self) -> float:
         """Variance of the evidence: the p pairs of a sheet in m views have m - 1 own errors."""
-        if not self.pairs:
-            return 0.0
-        seen = [view for pair in self.pairs for view in (pair.one, pair.other)]
-        _, ends = np.unique(seen, axis=0, return_inverse=True)
-        one, other = ends.reshape(-1, 2).T
-        links = coo_array((np.ones(len(one)), (one, other)), shape=2 * (ends.max() + 1,))
-        sheet = connected_components(links, directed=False)[1]
+        ones = [pair.one for pair in self.pairs]
+        sheets = _groups([(pair.one, pair.other) for pair in self.pairs])
         # Half of a chi-square of m - 1 degrees of freedom, p / (m - 1) times as large.
-        return float(np.sum(0.5 * np.bincount(sheet[one]) ** 2 / (np.bincount(sheet) - 1)))
+        return sum(0.5 * sum(map(ones.count, seen)) ** 2 / (len(seen) - 1) for seen in sheets)
 
 
 def sheet_tracks(

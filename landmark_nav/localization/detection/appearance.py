@@ -105,7 +105,16 @@ def _texels_a_pixel(texels: Float32Array) -> tuple[float, float]:
 
 
 def textures(landmark: Landmark, viewer: FloatArray) -> list[Texture]:
-    """Images to blend for a camera at `viewer` (3,) in map, with weights that sum to one."""
+    """
+    Images to blend, with weights that sum to one.
+
+    Parameters
+    ----------
+    landmark : Landmark
+        The landmark; without `views` its patch is the only image.
+    viewer : ndarray, shape (3,)
+        Position of the camera in map.
+    """
     if not landmark.views:
         return [Texture(landmark.patch.astype(np.float32), 1.0)]
     angle, reach = _seen_from(landmark, viewer)

@@ -154,7 +154,22 @@ class CameraState:
 
 @dataclass(frozen=True, eq=False)
 class PlanningScene:
-    """A map seen from a prior pose of the base, whose covariance widens the margins."""
+    """
+    A map seen from a prior pose of the base.
+
+    Parameters
+    ----------
+    prior : PoseEstimate
+        Pose of the base in map; its covariance widens the margins.
+    landmark_map : LandmarkMap
+        n landmarks.
+    camera, mount : CameraModel, PanTiltMount
+        Intrinsics and extrinsics.
+    config : TripletConfig
+        What counts as visible.
+    camera_state : CameraState
+        Where the camera looks and how far it can turn.
+    """
 
     prior: PoseEstimate
     landmark_map: LandmarkMap
