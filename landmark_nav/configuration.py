@@ -78,7 +78,9 @@ class Configuration(PanoramaStages, LearningConfig, LocalizationConfig):
     `former_robot` holds fields of `robot.yaml` that were parameters in the last release.
     """
 
-    robot_file: str = parameter('', 'robot.yaml: where the turning camera sits, joints, wheels')
+    robot_file: str = parameter(
+        '', 'robot.yaml, or a URDF: where the turning camera sits, joints, wheels'
+    )
     room_file: str = parameter('', 'room.yaml: walls and papers; empty: walls and poses are found')
     map_folder: str = parameter('map', 'folder that save_map writes and load_map reads')
     load_on_start: bool = parameter(False, 'load the map as soon as the node starts')

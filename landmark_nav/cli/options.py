@@ -107,7 +107,7 @@ _COMMON: dict[str, dict[str, Any]] = {
         'camera/image_raw=/cam0/image; repeatable. joint_states=/tf:FRAME takes the pan from the '
         'transform of FRAME. Names that only have a namespace are found without it',
     },
-    '--robot': {'metavar': 'F', 'help': 'robot.yaml: how the camera is mounted'},
+    '--robot': {'metavar': 'F', 'help': 'robot.yaml, or a URDF: how the camera is mounted'},
     '--room': {'metavar': 'F', 'help': 'room.yaml: walls and papers'},
     '--map': {'metavar': 'MAP', 'help': 'map folder, of learn'},
     '--out': {'metavar': 'DIR', 'type': Path, 'help': 'folder to write'},

@@ -43,7 +43,7 @@ _GRID_PX = 8
 # Number of nearest grid nodes, along each axis, between which rays are interpolated.
 _NODES = 6
 # Optical frame (x right, y down, z forward) -> body frame (x forward, y left, z up).
-_BODY_FROM_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
+BODY_FROM_OPTICAL = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 
 
 @dataclass(frozen=True)
@@ -563,7 +563,7 @@ class PanTiltMount:
         turned = self._axis_rotation @ rot_z(pan_rad) @ rot_y(np.negative(tilt_rad))
         center = np.asarray(self.axis_xyz) + turned @ np.asarray(self.optical_center_offset)
         roll = rot_z(np.add(roll_rad, self.camera_roll_rad))
-        return turned @ _BODY_FROM_OPTICAL @ roll, center
+        return turned @ BODY_FROM_OPTICAL @ roll, center
 
     def camera_pose_map(
         self,

@@ -14,6 +14,7 @@ from landmark_nav.errors import inside, LandmarkNavError, shown
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.walls import Paper, paper_bgr, Room, Wall
 from landmark_nav.storage import reading
+from landmark_nav.storage.urdf import robot_of_urdf
 
 # Greatest distance of a paper from its wall, apart from the error of the wall. Walls and papers
 # are measured to a few centimetres, and papers may hang on a frame.
@@ -46,6 +47,7 @@ MOUNT_FIELDS = {
 # Greatest sigma of the pan; a less certain one gives no information.
 _RANGES = MOUNT_FIELDS | {'pan_sigma': ('pan_sigma_rad', 0.0, 0.1, 'radians')}
 
+_URDF = '.urdf'
 # Frames of REP-105 that are not fixed in a room.
 _MOVING_FRAMES = ('odom', 'base_link', 'base_footprint')
 
@@ -162,8 +164,19 @@ def _check_on_wall(paper: Paper, room: Room, where: str) -> None:
 
 
 def read_robot(path: Path, former: Mapping[str, Any]) -> dict[str, Any]:
-    """Content of `robot.yaml`, completed by `former` parameters for absent fields."""
-    document = reading.read_yaml_mapping(path)
+    """
+    Content of `robot.yaml`, or of a URDF, completed by `former` parameters for absent fields.
+
+    A path ``FILE.urdf:FRAME`` names the optical frame of the camera.
+    """
+    name, _, camera_frame = path.name.partition(f'{_URDF}:')
+    if camera_frame or path.suffix == _URDF:
+        file = path.with_name(f'{name}{_URDF}') if camera_frame else path
+        text = reading.read_text(file)
+        with inside(file):
+            document = robot_of_urdf(text, camera_frame)
+    else:
+        document = reading.read_yaml_mapping(path)
     for key, value in former.items():
         own = document.get(key, {} if isinstance(value, Mapping) else value)
         document[key] = {**value, **own} if isinstance(own, dict) else own
