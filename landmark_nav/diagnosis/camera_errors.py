@@ -50,6 +50,8 @@ _LEVEL_RAD = 0.02
 # Scores within the first difference are equivalent; an error exceeds the score without errors by
 # the second.
 _ALIKE, _CERTAIN = 5.0, 12.0
+# Least gain of an error over its standard error by the pairs.
+_SIGNIFICANT = 3.0
 
 
 class Corners(NamedTuple):
@@ -239,10 +241,17 @@ def camera_error(matches: Matches, setup: CameraSetup) -> CameraError | None:
     if score < none + _CERTAIN:
         return None
     value, _ = _best(matches, given, _ERRORS[name], -np.inf)
-    if abs(value) < _MATTERS:
+    found_setup = _ERRORS[name].change(given, value)
+    # Pairs differ in the depths of what they see: their gains in likelihood say how sure it is
+    # (Vuong, Likelihood ratio tests for model selection and non-nested hypotheses, Econometrica
+    # 57(2), 1989).
+    scores = _scores(matches, found_setup)
+    gains = np.array([scores - _scores(matches, without) for without in (given, setup)])
+    least = np.min(gains.mean(axis=1) / gains.std(axis=1)) * np.sqrt(len(scores))
+    if abs(value) < _MATTERS or least < _SIGNIFICANT:
         return None
     also = tuple(key for key in found if key != name and found[key][1] > score - _ALIKE)
-    return CameraError(name, value, _ERRORS[name].change(given, value), also)
+    return CameraError(name, value, found_setup, also)
 
 
 def _nearly(matches: Matches, setup: CameraSetup) -> CameraSetup:
@@ -284,7 +293,12 @@ def _best(matches: Matches, setup: CameraSetup, error: _Error, none: float) -> t
 
 
 def _score(matches: Matches, setup: CameraSetup) -> float:
-    """Log-likelihood of points, with an independent turn and displacement of each pair."""
+    """Log-likelihood of all pairs."""
+    return float(_scores(matches, setup).sum())
+
+
+def _scores(matches: Matches, setup: CameraSetup) -> FloatArray:
+    """Log-likelihood (pairs,) of points; each pair has a turn and a displacement of its own."""
     k = matches.pairs
     before, after, log_area = _rays(matches, setup.camera)
     both = []
@@ -324,7 +338,8 @@ def _score(matches: Matches, setup: CameraSetup) -> float:
         residuals = moved - np.einsum('nri,ni->nr', columns, local[k])
         sigma = np.maximum(np.sqrt(np.mean(weights * residuals**2, axis=0)), least)
     each = -np.log(sigma) - 0.5 * (_FREEDOM + 1.0) * np.log1p((residuals / sigma) ** 2 / _FREEDOM)
-    return float(0.5 * _INDEPENDENT * (k[-1] + 1) * (each.sum(1).mean() + log_area))
+    share = 0.5 * _INDEPENDENT * (k[-1] + 1) / len(k)
+    return np.asarray(share * _sums(each.sum(1) + log_area, matches.begins))
 
 
 # Most errors do not change the intrinsics; those that do are tried from two setups of one camera.
