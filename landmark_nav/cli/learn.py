@@ -88,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
     given = load_calibration(args.robot)
     bag = open_bag(args.bag, args)
     # Walls alone do not show where the sweeps were.
-    placed = room is not None and bool(room.papers or bag.find('sweep/pose'))
+    placed = room is not None and bool(room.papers or room.markers or bag.find('sweep/pose'))
     config = _config(args, placed)
     log = StageLog()
     with log.measure('checks'):

@@ -92,7 +92,9 @@ def run(args: argparse.Namespace) -> int:
         other = np.random.default_rng([args.seed, 31])
         later = replace(later, items=furnishing.exchange_posters(scene, args.exchange, other))
     robot_in = partial(RobotWorld, camera=camera, mount=mount, people=args.people)
-    given = scene.room, mount
+    hung = furnishing.markers_of(scene)
+    dictionary = furnishing.TAG_DICTIONARY if hung else scene.room.marker_dictionary
+    given = replace(scene.room, markers=hung, marker_dictionary=dictionary), mount
     if not args.exact:
         given = setup_documents.as_measured(*given, np.random.default_rng([args.seed, 60]))
     with atomic_folder(args.out, _FILES, args.overwrite) as folder:

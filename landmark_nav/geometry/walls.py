@@ -61,10 +61,36 @@ class Paper:
     height: float
 
 
+# Dictionaries of markers as OpenCV names them.
+_DICTIONARIES = (
+    *(f'DICT_{n}X{n}_{count}' for n in (4, 5, 6, 7) for count in (50, 100, 250, 1000)),
+    'DICT_ARUCO_ORIGINAL',
+    *(f'DICT_APRILTAG_{family}' for family in ('16h5', '25h9', '36h10', '36h11')),
+)
+
+
+def check_marker_dictionary(name: str) -> None:
+    """Raise `LandmarkNavError` if OpenCV has no dictionary of markers of this name."""
+    if name not in _DICTIONARIES:
+        raise LandmarkNavError(
+            f'marker dictionary {shown(name)}: take one that OpenCV has, as DICT_4X4_50, '
+            'DICT_6X6_250 or DICT_APRILTAG_36h11'
+        )
+
+
+@dataclass(frozen=True)
+class Marker:
+    """An ArUco or AprilTag marker: centre (x, y, z in map), side of its black square, m."""
+
+    number: int
+    center: tuple[float, float, float]
+    size: float
+
+
 @dataclass(frozen=True)
 class Room:
     """
-    Walls and anchor papers in the map frame.
+    Walls, and anchor papers and markers of one dictionary, in the map frame.
 
     Raises `LandmarkNavError`: fewer than 3 walls, a wall without length or height, two walls of
     one name, an open outline, walls that cross or run clockwise.
@@ -73,6 +99,8 @@ class Room:
     walls: tuple[Wall, ...]
     papers: tuple[Paper, ...] = ()
     frame_id: str = 'map'
+    markers: tuple[Marker, ...] = ()
+    marker_dictionary: str = 'DICT_4X4_50'
 
     def __post_init__(self) -> None:
         """Check that the outline is closed and does not cross itself."""

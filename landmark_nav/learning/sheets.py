@@ -13,21 +13,15 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from landmark_nav.arrays import BoolArray
-from landmark_nav.errors import LandmarkNavError, shown
-from landmark_nav.geometry.walls import paper_bgr
+from landmark_nav.arrays import BoolArray, ImageArray
+from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.cylinder import Cylinder
+from landmark_nav.geometry.walls import check_marker_dictionary, paper_bgr
 from landmark_nav.learning.panorama.synthesis import CylinderImage
 from landmark_nav.learning.reference_area.blobs import color_blobs
 from landmark_nav.learning.reference_area.edges import outline_blobs
 from landmark_nav.parameters import Config, parameter
 from landmark_nav.types import FloatArray, Panorama
-
-# Dictionaries of markers as OpenCV names them.
-_DICTIONARIES = (
-    *(f'DICT_{n}X{n}_{count}' for n in (4, 5, 6, 7) for count in (50, 100, 250, 1000)),
-    'DICT_ARUCO_ORIGINAL',
-    *(f'DICT_APRILTAG_{family}' for family in ('16h5', '25h9', '36h10', '36h11')),
-)
 
 
 @dataclass(frozen=True)
@@ -47,8 +41,6 @@ class SheetsConfig(Config):
     )
     # Relative sigma of these sizes.
     size_sigma: float = 0.002
-    # Sigma of the corners of markers, pixels.
-    corner_sigma_px: float = 0.15
 
     def __post_init__(self) -> None:
         """Check that sizes come in pairs, colours have a hue and the dictionary is known."""
@@ -57,11 +49,7 @@ class SheetsConfig(Config):
             raise LandmarkNavError(
                 f'papers of {self.paper_width_m:g} m x {self.paper_height_m:g} m: give both sides'
             )
-        if self.marker_dictionary not in _DICTIONARIES:
-            raise LandmarkNavError(
-                f'marker dictionary {shown(self.marker_dictionary)}: take one that OpenCV has, as '
-                'DICT_4X4_50, DICT_6X6_250 or DICT_APRILTAG_36h11'
-            )
+        check_marker_dictionary(self.marker_dictionary)
         for color in self.paper_colors.split():
             paper_bgr(color)
 
@@ -170,32 +158,67 @@ def _located(edges: FloatArray, height_m: float) -> tuple[FloatArray, FloatArray
     return reach * ray, np.stack([by_azimuth, by_azimuth, up + nearer, up - nearer], 1)
 
 
+# Magnification of panoramas in which markers are searched.
+_FINER = 2
+# Sigma of the corners of markers, and of a shift of all their edges inwards or outwards, as the
+# camera's response to light makes bright parts wider; pixels.
+CORNER_SIGMA_PX, RESPONSE_SIGMA_PX = 0.15, 0.4
+# Corners in the order of OpenCV, to the left and up.
+CORNERS = np.array([[1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0], [1.0, -1.0]])
+
+
 def find_markers(panorama: Panorama, config: SheetsConfig) -> list[SheetView]:
     """Find markers of one dictionary; `LandmarkNavError` if OpenCV has no detector."""
+    cylinder, size, found = panorama.cylinder, config.marker_size_m, []
+    sigma, response = (px / cylinder.fx for px in (CORNER_SIGMA_PX, RESPONSE_SIGMA_PX))
+    for number, rays in marker_corners(panorama.image, cylinder, config.marker_dictionary):
+        located = locate_square(rays, size, sigma)
+        wider = locate_square(rays + response * _outwards(rays), size, sigma)
+        if located is not None and wider is not None:
+            position, covariance = located
+            shared = np.stack([config.size_sigma * position, wider[0] - position], 1)
+            found.append(SheetView('markers', str(number), position, covariance, shared))
+    return found
+
+
+def _outwards(rays: FloatArray) -> FloatArray:
+    """Change of the rays (4, 3) of the corners of an upright square that is wider and higher."""
+    x, y, _ = rays.T
+    reach = np.hypot(x, y)
+    left = np.stack([-y, x, np.zeros(4)], 1)
+    return np.asarray(CORNERS[:, :1] * left + CORNERS[:, 1:] * reach[:, None] * [0.0, 0.0, 1.0])
+
+
+def marker_corners(
+    image: ImageArray, cylinder: Cylinder, dictionary: str
+) -> list[tuple[int, FloatArray]]:
+    """
+    Find number and rays (4, 3) of the corners of each marker of a dictionary in a panorama.
+
+    Raises `LandmarkNavError`: OpenCV has no detector.
+    """
     if not hasattr(cv2, 'aruco') or not hasattr(cv2.aruco, 'ArucoDetector'):
         raise LandmarkNavError(
             f'OpenCV {cv2.__version__} has no ArUco detector: install opencv-python-headless 4.7 '
             'or newer, or leave out markers'
         )
-    width = panorama.cylinder.width
+    width = cylinder.width
     # A marker across the seam is whole in the padded part; others there appear twice.
     columns = np.arange(width + width // 8) % width
-    grey = cv2.cvtColor(panorama.image, cv2.COLOR_BGR2GRAY)
+    grey = np.ascontiguousarray(cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)[:, columns])
+    # Cells of markers across a room are two or three pixels wide.
+    grey = cv2.resize(grey, None, fx=_FINER, fy=_FINER, interpolation=cv2.INTER_CUBIC)
     parameters = cv2.aruco.DetectorParameters()
-    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_SUBPIX
-    dictionary = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, config.marker_dictionary))
-    detector = cv2.aruco.ArucoDetector(dictionary, parameters)
-    corners, numbers, _ = detector.detectMarkers(np.ascontiguousarray(grey[:, columns]))
+    parameters.cornerRefinementMethod = cv2.aruco.CORNER_REFINE_APRILTAG
+    markers = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, dictionary))
+    detector = cv2.aruco.ArucoDetector(markers, parameters)
+    corners, numbers, _ = detector.detectMarkers(grey)
     found = []
     for corner, number in zip(corners, [] if numbers is None else numbers.ravel(), strict=True):
-        pixels = corner.reshape(4, 2).astype(np.float64)
-        if pixels[:, 0].min() >= width:
-            continue
-        sigma = config.corner_sigma_px / panorama.cylinder.fx
-        located = locate_square(panorama.cylinder.rays(pixels), config.marker_size_m, sigma)
-        if located is not None:
-            shared = config.size_sigma * located[0][:, None]
-            found.append(SheetView('markers', str(int(number)), *located, shared))
+        # Here the centre of the first pixel is at 0.5, as in the library of AprilTags.
+        pixels = corner.reshape(4, 2).astype(np.float64) / _FINER - 0.5
+        if pixels[:, 0].min() < width:
+            found.append((int(number), cylinder.rays(pixels)))
     return found
 
 
@@ -215,8 +238,7 @@ def locate_square(
     axes = np.stack([right, np.cross(ahead, right), ahead])
     seen = unit @ axes.T
     flat = seen[:, :2] / seen[:, 2:]
-    half = 0.5 * size_m
-    square = half * np.array([[-1.0, 1, 0], [1, 1, 0], [1, -1, 0], [-1, -1, 0]])
+    square = 0.5 * size_m * np.column_stack([-CORNERS[:, 0], CORNERS[:, 1], np.zeros(4)])
     count, turns, middles, _ = cv2.solvePnPGeneric(
         square, flat[:, None], np.eye(3), np.zeros(4), flags=cv2.SOLVEPNP_IPPE_SQUARE
     )

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.geometry.walls import Paper, Room, Wall
+from landmark_nav.geometry.walls import Marker, Paper, Room, Wall
 from landmark_nav.simulation.scene import Box, choose_sweep_places, Lamp, Scene, WallItem
 from landmark_nav.types import FloatArray
 
@@ -17,8 +17,9 @@ _TARGET_SIZE_M = 0.5
 # Smallest distance of things on a wall from each other, and from corners.
 _GAP_M = 0.1
 _CORNER_M = 0.12
-# Size of tags (16 cm) with their white border, and heights that are tried for them.
-_TAG_M, _TAG_HEIGHTS_M = 0.2, (1.5, 1.1, 1.9)
+# Size of tags with their white border and without it, and heights that are tried for them.
+_TAG_M, _MARKER_M, _TAG_HEIGHTS_M = 0.2, 0.16, (1.5, 1.1, 1.9)
+TAG_DICTIONARY = 'DICT_APRILTAG_36h11'
 _POSTERS = ('photo', 'poster')
 # Relative power of a dimmed lamp on another day.
 _DIMMED = 0.35
@@ -149,6 +150,15 @@ def hang_tags(scene: Scene, spacing_m: float) -> tuple[WallItem, ...]:
                     items.append(WallItem('tag', index, float(along), z, _TAG_M, _TAG_M, number))
                     break
     return tuple(items)
+
+
+def markers_of(scene: Scene) -> tuple[Marker, ...]:
+    """Tags of a room, with their exact places."""
+    return tuple(
+        Marker(item.seed, tuple(item.center(scene.room).tolist()), _MARKER_M)
+        for item in scene.items
+        if item.kind == 'tag'
+    )
 
 
 def _hang(

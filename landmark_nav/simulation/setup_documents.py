@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from dataclasses import replace
 import json
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import yaml
 
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.geometry.walls import Paper, Room
+from landmark_nav.geometry.walls import Marker, Paper, Room
 from landmark_nav.simulation.scene import Scene
 from landmark_nav.storage.setup_files import MOUNT_FIELDS, room_text
 from landmark_nav.types import FloatArray
@@ -93,14 +93,17 @@ _SAME_CORNER_M = 1e-6
 _PARALLEL = 0.1
 
 
+Sheet = TypeVar('Sheet', Paper, Marker)
+
+
 def as_measured(
     room: Room, mount: PanTiltMount, rng: np.random.Generator
 ) -> tuple[Room, PanTiltMount]:
     """
     Room and mount with errors of manual measurement.
 
-    Walls are moved along their normals by `_WALL_M`, with closed corners; papers along their walls
-    and vertically by `_PAPER_M`; the mount by `_HEIGHT_M`.
+    Walls are moved along their normals by `_WALL_M`, with closed corners; papers and markers along
+    their walls and vertically by `_PAPER_M`; the mount by `_HEIGHT_M`.
     """
     off = rng.normal(0.0, _WALL_M, len(room.walls))
     ends = np.array([[wall.start, wall.end] for wall in room.walls])
@@ -115,11 +118,12 @@ def as_measured(
     papers = tuple(moved_paper(p, room, rng.normal(0.0, _PAPER_M, 2)) for p in room.papers)
     x, y, z = mount.axis_xyz
     higher = replace(mount, axis_xyz=(x, y, z + float(rng.normal(0.0, _HEIGHT_M))))
-    return replace(room, walls=walls, papers=papers), higher
+    markers = tuple(moved_paper(m, room, rng.normal(0.0, _PAPER_M, 2)) for m in room.markers)
+    return replace(room, walls=walls, papers=papers, markers=markers), higher
 
 
-def moved_paper(paper: Paper, room: Room, shift_m: FloatArray) -> Paper:
-    """Paper moved along its wall and up by `shift_m` (2,)."""
+def moved_paper(paper: Sheet, room: Room, shift_m: FloatArray) -> Sheet:
+    """Paper or marker moved along its wall and up by `shift_m` (2,)."""
     wall = room.walls[int(room.nearest_wall(np.array(paper.center[:2])))]
     x, y = paper.center[:2] + shift_m[0] * np.subtract(wall.end, wall.start) / wall.length
     return replace(paper, center=(float(x), float(y), paper.center[2] + float(shift_m[1])))

@@ -12,7 +12,14 @@ import yaml
 
 from landmark_nav.errors import inside, LandmarkNavError, shown
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.geometry.walls import Paper, paper_bgr, Room, Wall
+from landmark_nav.geometry.walls import (
+    check_marker_dictionary,
+    Marker,
+    Paper,
+    paper_bgr,
+    Room,
+    Wall,
+)
 from landmark_nav.storage import reading
 from landmark_nav.storage.urdf import robot_of_urdf
 
@@ -28,6 +35,8 @@ _MAX_WALLS, _MAX_PAPERS = 1000, 100
 # Greatest length and height of a wall, and greatest coordinate of the mount; larger values are
 # given in another unit.
 _MAX_WALL_M, _MAX_HEIGHT_M, _MAX_MOUNT_M = 1000.0, 50.0, 10.0
+# Least and greatest side of a paper or marker.
+_SHEET_M = 0.01, 5.0
 # Greatest sigma of a wall; a less certain one gives no information.
 _MAX_WALL_SIGMA_M = 1.0
 
@@ -75,9 +84,7 @@ def load_room(path: Path | str) -> Room:
     with inside(path):
         reading.check_spelling(document, ('frame_id', 'walls', 'reference_area'), 'room')
         walls = walls_field(document, 'room')
-        area = document.get('reference_area') or {}
-        hung = reading.list_field(area, 'papers', 'reference_area', _MAX_PAPERS) if area else []
-        papers = tuple(_paper(paper, f'papers[{i}]') for i, paper in enumerate(hung))
+        papers, markers, dictionary = _reference_area(document.get('reference_area') or {})
         for wall in walls:
             for size, most, what in (
                 (wall.length, _MAX_WALL_M, 'long'),
@@ -86,11 +93,14 @@ def load_room(path: Path | str) -> Room:
                 if size > most:
                     where = f'wall {wall.id} is {size:g} m {what}'
                     raise LandmarkNavError(f'{where}: lengths are metres')
-        room = Room(walls, papers, reading.name_field(document, 'frame_id', 'room', 'map'))
+        frame_id = reading.name_field(document, 'frame_id', 'room', 'map')
+        room = Room(walls, papers, frame_id, markers, dictionary)
         if room.frame_id in _MOVING_FRAMES:
             raise LandmarkNavError(f'frame_id is {room.frame_id}, which the robot moves: take map')
         for i, paper in enumerate(papers):
-            _check_on_wall(paper, room, f'papers[{i}]')
+            _check_on_wall(paper.center, room, f'papers[{i}] ({paper.color})')
+        for i, marker in enumerate(markers):
+            _check_on_wall(marker.center, room, f'markers[{i}] (number {marker.number})')
         return room
 
 
@@ -133,10 +143,43 @@ def room_text(room: Room) -> str:
         'frame_id': room.frame_id,
         'walls': [wall_entry(wall) for wall in room.walls],
     }
-    if room.papers:
-        hung = [{**asdict(paper), 'center': list(paper.center)} for paper in room.papers]
-        document['reference_area'] = {'papers': hung}
+    area: dict[str, Any] = {}
+    for name, sheets in (('papers', room.papers), ('markers', room.markers)):
+        if sheets:
+            area[name] = [{**asdict(sheet), 'center': list(sheet.center)} for sheet in sheets]
+    if room.markers:
+        area['marker_dictionary'] = room.marker_dictionary
+    if area:
+        document['reference_area'] = area
     return yaml.safe_dump(document, sort_keys=False, default_flow_style=None)
+
+
+def _reference_area(area: Any) -> tuple[tuple[Paper, ...], tuple[Marker, ...], str]:
+    """Papers, markers and the dictionary of these, which a mapping may have."""
+    where, default = 'reference_area', Room.marker_dictionary
+    if not area:
+        return (), (), default
+    # A reference area without markers has papers.
+    known = [key for key in ('papers', 'markers') if key in area] or ['papers']
+    hung = {key: reading.list_field(area, key, where, _MAX_PAPERS) for key in known}
+    papers = tuple(_paper(k, f'papers[{i}]') for i, k in enumerate(hung.get('papers', [])))
+    markers = tuple(_marker(k, f'markers[{i}]') for i, k in enumerate(hung.get('markers', [])))
+    numbers = [marker.number for marker in markers]
+    if len({*numbers}) < len(numbers):
+        twice = max(numbers, key=numbers.count)
+        raise LandmarkNavError(f'{where}: marker {twice} is there twice: hang each number once')
+    dictionary = reading.name_field(area, 'marker_dictionary', where, default)
+    check_marker_dictionary(dictionary)
+    return papers, markers, dictionary
+
+
+def _marker(document: Any, where: str) -> Marker:
+    """Marker of an entry, with a plausible size."""
+    number = reading.integer_field(document, 'number', where)
+    size = reading.number_field(document, 'size', where)
+    if not _SHEET_M[0] <= size <= _SHEET_M[1]:
+        raise LandmarkNavError(f'{where}: {size:g} m is no size of a marker: lengths are metres')
+    return Marker(number, _point(document, 'center', 3, where), size)
 
 
 def _paper(document: Any, where: str) -> Paper:
@@ -145,21 +188,20 @@ def _paper(document: Any, where: str) -> Paper:
     with inside(where):
         paper_bgr(color)
     width, height = (reading.number_field(document, key, where) for key in ('width', 'height'))
-    if not (0.01 <= width <= 5.0 and 0.01 <= height <= 5.0):
+    if not (_SHEET_M[0] <= min(width, height) and max(width, height) <= _SHEET_M[1]):
         size = f'{width:g} x {height:g} m is no size of a paper'
         raise LandmarkNavError(f'{where}: {size}: lengths are metres')
     return Paper(color, _point(document, 'center', 3, where), width, height)
 
 
-def _check_on_wall(paper: Paper, room: Room, where: str) -> None:
-    x, y, z = paper.center
+def _check_on_wall(center: tuple[float, float, float], room: Room, what: str) -> None:
+    x, y, z = center
     aside = room.wall_distances([x, y])
     wall = room.walls[int(np.argmin(aside))]
     off = float(np.hypot(aside.min(), max(-z, z - wall.height, 0.0)))
     if off > _MAX_OFF_WALL_M + _OFF_WALL_SIGMAS * (wall.sigma_m or 0.0):
         raise LandmarkNavError(
-            f'{where} ({paper.color}) is {100.0 * off:.0f} cm from its nearest wall, {wall.id}: '
-            'measure paper and wall again'
+            f'{what} is {100.0 * off:.0f} cm from its nearest wall, {wall.id}: measure both again'
         )
 
 

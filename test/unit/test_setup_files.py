@@ -96,6 +96,21 @@ def test_robot_as_written_and_defaults(tmp_path):
                 ('[1, 0, 1.5]', '[1, -0.11, 1.5]', r'papers\[0\] \(red\) is 11 cm from'),
             )
         ),
+        *(
+            (
+                load_room,
+                ROOM + f'  markers: [{{number: 1, {one}}}, {{{other}, size: 0.1}}]',
+                message,
+            )
+            for one, other, message in (
+                ('size: 0.1', 'number: 2, center: [1, 0, 1]', r'markers\[0\]: center is missing'),
+                ('center: [1, 0, 1], size: 16', 'number: 2', r'markers\[0\]: 16 m is no size'),
+                ('center: [1, 0, 1], size: 0.1', 'number: x', r"markers\[1\]: number is 'x'"),
+                ('center: [1, 0, 1], size: 0.1', 'number: 1, center: [1, 0, 2]', 'there twice'),
+                ('center: [1, 0, 1], size: 0.1', 'number: 2, center: [1, 1, 1]', 'number 2. is 1'),
+            )
+        ),
+        (load_room, ROOM + '  marker_dictionary: DICT_9\n', 'dictionary .*DICT_9.*: take one'),
         (load_room, ROOM.replace('[4, ', '[4000, '), 'wall south is 4000 m long: lengths are m'),
         (load_robot, 'base_frame: base_link', 'pan_axis is missing'),
         (load_robot, 'pan_axis: 3', 'pan_axis is 3, not a mapping'),

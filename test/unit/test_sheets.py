@@ -10,14 +10,19 @@ from builders import panorama_of
 import cv2
 import numpy as np
 import pytest
+from scenes import rectangle_room
 
 from landmark_nav.errors import LandmarkNavError
+from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.geometry.se2 import rot_z
-from landmark_nav.geometry.walls import NAMED_HUES_DEG, paper_bgr
+from landmark_nav.geometry.walls import Marker, NAMED_HUES_DEG, paper_bgr
 from landmark_nav.learning.panorama.synthesis import CylinderImage
 from landmark_nav.learning.reference_area.blobs import ColorSearch, hue_direction
 from landmark_nav.learning.reference_area.edges import locate_edges, PROFILES
+from landmark_nav.learning.reference_area.markers import fit_markers
+from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
 from landmark_nav.learning.relative_pose.epipolar import center, STATE
 from landmark_nav.learning.relative_pose.scale import (
     odd_source,
@@ -77,16 +82,75 @@ def test_a_paper_is_found_where_it_hangs(slant_rad, azimuth):
     check_seen(with_sheet(paper, (0.21, 0.297), middle, slant_rad), A4, 'papers', 'green', middle)
 
 
-@pytest.mark.parametrize(('slant_rad', 'azimuth'), [(0.2, 0.4), (-0.7, 3.13)])
-def test_a_marker_is_found_with_its_number(slant_rad, azimuth):
+def marker_sheet(number):
+    """Print of a marker: 0.15 m of black, 0.2 m with the white all around."""
     if not hasattr(cv2.aruco, 'ArucoDetector'):
         pytest.skip('this OpenCV has no ArUco detector')
     dictionary = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
-    marker = cv2.aruco.generateImageMarker(dictionary, 7, 600)
-    # White all around, as it is printed: 0.15 m of black, 0.2 m in all.
+    marker = cv2.aruco.generateImageMarker(dictionary, number, 600)
     sheet = cv2.cvtColor(cv2.copyMakeBorder(marker, *[100] * 4, 0, value=255), cv2.COLOR_GRAY2BGR)
+    return np.asarray(sheet)
+
+
+def marked(room, markers, pose, height_m):
+    """Panorama of a grey room with markers on its walls, seen from a pose (3,) at a height."""
+    images = []
+    for marker in markers:
+        seen = (np.array(marker.center) - [*pose[:2], height_m]) @ rot_z(pose[2])
+        normal = room.normals[room.nearest_wall(np.array(marker.center[:2]))]
+        turned = np.arctan2(normal[1], normal[0]) - pose[2] - np.arctan2(-seen[1], -seen[0])
+        images.append(with_sheet(marker_sheet(marker.number), (0.2, 0.2), seen, turned))
+    image = images[0]
+    for other in images[1:]:
+        image = np.where(other != 150, other, image)
+    return CylinderImage(image, np.ones(image.shape[:2], bool), CYLINDER)
+
+
+MARKERS = tuple(
+    Marker(number, center, 0.15)
+    for number, center in enumerate(
+        [(1.5, 0.0, 1.3), (4.2, 0.0, 0.9), (6.0, 2.0, 1.2), (3.1, 5.0, 1.4), (0.0, 2.4, 1.0)]
+    )
+)
+
+
+@pytest.mark.parametrize('count', [2, 5])
+@pytest.mark.parametrize('pose', [(2.4, 2.1, 0.3), (3.5, 2.6, -2.9)])
+def test_markers_of_the_room_file_give_the_pose(pose, count):
+    room, mount = rectangle_room(6.0, 5.0), PanTiltMount(axis_xyz=(0.08, 0.02, 1.1))
+    room = replace(room, markers=MARKERS[:count])
+    axis = mount.axis_pose_map(pose)
+    view = marked(room, room.markers, axis, 1.103)
+    fit, names = fit_markers(view, 1.1, room, mount, ReferenceAreaConfig())
+    assert len(names) == count
+    off = np.array([*(fit.pose_map_base - pose)[:2], fit.mount[0] - 0.003, 0.0])
+    off[3] = wrap_rad(fit.pose_map_base[2] - pose[2])
+    assert np.abs(off[:2]).max() < 0.02
+    assert off @ np.linalg.solve(fit.covariance, off) < 20.0
+    assert fit.misfit < 3.0
+
+
+def test_a_marker_at_another_place_is_noticed():
+    room, mount = rectangle_room(6.0, 5.0), PanTiltMount()
+    view = marked(room, MARKERS, (2.4, 2.1, 0.3), 1.1)
+    moved = replace(MARKERS[2], center=(6.0, 2.1, 1.2))
+    wrong = replace(room, markers=(*MARKERS[:2], moved, *MARKERS[3:]))
+    fit, _ = fit_markers(view, 1.1, wrong, mount, ReferenceAreaConfig())
+    assert max(fit.misfit / 6.0, np.abs(fit.hang_m).max() / 0.004) > 1.0
+
+
+def test_a_number_that_is_there_twice_is_not_used():
+    room = replace(rectangle_room(6.0, 5.0), markers=MARKERS[:2])
+    twins = [*MARKERS[:2], replace(MARKERS[3], number=0)]
+    view = marked(room, twins, (2.4, 2.1, 0.3), 1.1)
+    with pytest.raises(LandmarkNavError, match='1 of the 2 markers'):
+        fit_markers(view, 1.1, room, PanTiltMount(), ReferenceAreaConfig())
+
+
+@pytest.mark.parametrize(('slant_rad', 'azimuth'), [(0.2, 0.4), (-0.7, 3.13)])
+def test_a_marker_is_found_with_its_number(slant_rad, azimuth):
     middle = np.array([2.0 * np.cos(azimuth), 2.0 * np.sin(azimuth), -0.2])
-    image = with_sheet(np.asarray(sheet), (0.2, 0.2), middle, slant_rad)
+    image = with_sheet(marker_sheet(7), (0.2, 0.2), middle, slant_rad)
     check_seen(image, SheetsConfig(marker_size_m=0.15), 'markers', '7', middle)
 
 

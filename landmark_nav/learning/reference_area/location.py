@@ -8,6 +8,7 @@ edges together are more accurate, and sizes distinguish wrong correspondences fr
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -24,6 +25,7 @@ from landmark_nav.learning.least_squares import covariance_of, solve_positive
 from landmark_nav.learning.panorama.synthesis import CylinderImage
 from landmark_nav.learning.reference_area.blobs import color_blobs, PaperBlobs
 from landmark_nav.learning.reference_area.fit import PaperFit, PaperFitter
+from landmark_nav.learning.reference_area.markers import fit_markers
 from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
 from landmark_nav.learning.reference_area.search import find_places, LEAST_PAPERS, papers_in_view
 from landmark_nav.types import FloatArray, Sweep
@@ -131,23 +133,32 @@ class PaperSearch:
         """
         Measure the pose of the sweep, or a `rough` one before the camera is calibrated.
 
-        If the papers fit at the place `near`, no other is searched.
+        If the papers fit at the place `near`, no other is searched. In a room without papers,
+        markers serve.
 
         Raises `WrongMountError`: height or tilt of the camera are off by more than `most_sigmas`;
         `LandmarkNavError`: fewer than three papers are in the room or in view, papers do not fit
         the room, or more than one pose fits.
         """
-        config = self._config
-        if len(self._room.papers) < LEAST_PAPERS:
+        config, room = self._config, self._room
+        if room.markers and not room.papers:
+            fit, names = fit_markers(self._view, self._height_m, room, self._mount, config)
+            if not rough and fit.misfit > _MOST_MISFIT:
+                raise LandmarkNavError(
+                    f'the markers do not fit the room ({", ".join(names)}): measure their places '
+                    'and sizes again'
+                )
+        elif len(room.papers) < LEAST_PAPERS:
             raise LandmarkNavError(
-                f'the room names {len(self._room.papers)} reference papers: hang three and list '
+                f'the room names {len(room.papers)} reference papers: hang three and list '
                 'them in room.yaml, or give the pose of each sweep (sweep/pose)'
             )
-        fit = None if near is None else self._fitter.fit(near.pose_map_base)
-        if fit is None or not _fits(fit, self._room):
-            fit = self.fit(rough)
+        else:
+            names = _names(room)
+            there = None if near is None else self._fitter.fit(near.pose_map_base)
+            fit = self.fit(rough) if there is None or not _fits(there, room) else there
         if not rough:
-            _check_prior(fit, self._room, config, most_sigmas)
+            _check_prior(fit, names, config, most_sigmas)
         # The misfit inflates the whole covariance, including the part of the prior.
         scatter = max(1.0, fit.misfit)
         of_mount = covariance_of(fit.mount_covariance / scatter)
@@ -248,8 +259,9 @@ class PaperSearch:
         if config.height_sigma_m < _ANY_HEIGHT_M and all(len(b) for b in self._blobs):
             loose = replace(config, height_sigma_m=_ANY_HEIGHT_M, horizon_sigma_rad=_ANY_TILT_RAD)
             search = PaperSearch(self._sweep, self._view, self._room, self._mount, loose)
+            names = _names(self._room)
             try:
-                _check_prior(search.fit(), self._room, config, WRONG_PRIOR)
+                _check_prior(search.fit(), names, config, WRONG_PRIOR)
             except WrongMountError as error:
                 return error
             except LandmarkNavError:
@@ -303,7 +315,7 @@ def _place_text(fit: PaperFit) -> str:
 
 
 def _check_prior(
-    fit: PaperFit, room: Room, config: ReferenceAreaConfig, most_sigmas: float
+    fit: PaperFit, names: Sequence[str], config: ReferenceAreaConfig, most_sigmas: float
 ) -> None:
     """Raise `LandmarkNavError` if a fit contradicts the priors of the mount or of the papers."""
     found = MountError(float(fit.mount[0]), fit.mount[1:])
@@ -323,10 +335,14 @@ def _check_prior(
     worst = int(np.argmax(hang))
     if hang[worst] > WRONG_PRIOR * max(config.paper_sigma_m, 1e-4):
         raise LandmarkNavError(
-            f'the papers do not fit together, by {100 * hang[worst]:.1f} cm (at the '
-            f'{room.papers[worst].color} one, but any may be wrong): measure all again, or '
-            'uncover the papers and sweep again if somebody hid a part of one'
+            f'papers or markers do not fit together, by {100 * hang[worst]:.1f} cm (at the '
+            f'{names[worst]}, but any may be wrong): measure all again, or uncover them and sweep '
+            'again if somebody hid a part of one'
         )
+
+
+def _names(room: Room) -> list[str]:
+    return [f'{paper.color} paper' for paper in room.papers]
 
 
 def tilt_text(tilt_roll_rad: FloatArray) -> str:

@@ -10,7 +10,7 @@ contains their errors.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -87,8 +87,15 @@ class PaperPlaces:
     @classmethod
     def of(cls, room: Room) -> PaperPlaces:
         """Return the papers of a room."""
-        center = np.array([paper.center for paper in room.papers]).reshape(-1, 3)
-        size = np.array([(paper.width, paper.height) for paper in room.papers]).reshape(-1, 2)
+        sizes = [(paper.width, paper.height) for paper in room.papers]
+        return cls.hung(room, [paper.center for paper in room.papers], sizes)
+
+    @classmethod
+    def hung(
+        cls, room: Room, centers: Sequence[Sequence[float]], sizes: Sequence[Sequence[float]]
+    ) -> PaperPlaces:
+        """Return sheets with centres (k, 3) and sizes (k, 2) on the walls nearest to them."""
+        center, size = np.reshape(centers, (-1, 3)), np.reshape(sizes, (-1, 2))
         normal = room.normals[room.nearest_wall(center[:, :2])]
         along = np.stack([normal[:, 1], -normal[:, 0], normal[:, 2]], 1)
         return cls(center, size, along, normal)
