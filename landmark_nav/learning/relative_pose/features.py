@@ -29,6 +29,9 @@ BAND, WIDE_BAND = 6.0, 12.0
 # Overlap at the seam, and margin to uncovered parts, pixels: the support of a descriptor.
 _SEAM_PX, _MARGIN_PX = 48, 9
 _CONTRAST = 0.01
+# OpenCV doubles images so that all keypoints are too far to the right and down by this, pixels;
+# its remedy, `enable_precise_upscale`, is not in all versions.
+_DOUBLED_PX = 0.25
 # Least cosine of the descriptors of a match, and of those that compete with it; number of
 # features that are compared with all others at once.
 _LEAST_LIKENESS, _ROWS = 0.78, 512
@@ -65,7 +68,7 @@ def find_features(panorama: Panorama, most: int) -> Features:
     points, descriptors = sift.detectAndCompute(np.ascontiguousarray(grey[:, columns]), inside)
     if not points:
         return Features(np.empty((0, 3)), np.empty((0, 128), np.float32))
-    pixels = np.array([point.pt for point in points]) - (_SEAM_PX, 0)
+    pixels = np.array([point.pt for point in points]) - _DOUBLED_PX - (_SEAM_PX, 0)
     kept = np.argsort([-point.response for point in points], kind='stable')
     kept = kept[(pixels[kept, 0] >= -0.5) & (pixels[kept, 0] < width - 0.5)]
     histograms = descriptors[kept]
