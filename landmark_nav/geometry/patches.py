@@ -43,6 +43,12 @@ _ALONG, _UNCHANGED = 0.2, 0.9
 _UPRIGHT = 0.1
 
 
+def overlap(apart: FloatArray, size: FloatArray, other_size: FloatArray) -> float:
+    """Overlap of rectangles (2,) with centers `apart` (2,), relative to the smaller one."""
+    common = np.clip((size + other_size) / 2.0 - apart, 0.0, np.minimum(size, other_size))
+    return float(np.prod(common) / min(np.prod(size), np.prod(other_size)))
+
+
 def is_upright_edge(patch: npt.NDArray[np.uint8]) -> bool:
     """
     Whether a patch (rows, columns) is certain across only: an upright edge.

@@ -15,11 +15,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from landmark_nav.geometry.patches import overlap
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.stereo.wall_patch import (
     own_measurement,
     PatchMeasurement,
     StereoConfig,
+    texels_per_pixel,
     Ties,
     WallPatch,
 )
@@ -54,6 +56,9 @@ _NEAR_M, _MARGIN_M = 0.1, 0.01
 # Relative sigma of a size by surfaces that are not flat, and greatest disagreement of sizes and
 # depth, in sigmas.
 _SIZE_SIGMA, _SIZE_SIGMAS = 0.02, 3.0
+# Number of panoramas that show a patch beyond doubt, its own among them: one match may be false.
+_CONFIRMED = 3
+_COVERED = Refusal('covered by a stronger candidate')
 
 
 def match_freely(
@@ -344,36 +349,70 @@ def reconstruct(
     room: Room,
     config: StereoConfig,
     ties: Ties | None = None,
+    max_overlap: float = 1.0,
 ) -> Reconstruction:
     """
     Search each candidate in the other panoramas: on the wall behind it, else on its own plane.
 
-    `ties` are features that panoramas share: they give the range of patches around them.
+    `ties` are features that panoramas share: they give the range of patches around them. What
+    other panoramas propose again is left out: candidates of which a stronger one, found at several
+    places, covers a share of more than `max_overlap` where their panorama shows it.
     """
-    found = Reconstruction([], [], [], [[] for _ in panoramas])
-    for i, panorama in enumerate(panoramas):
-        features = None if ties is None else depths_of(ties.seen_by(i), panorama)
-        for n, candidate in enumerate(candidates[i]):
-            behind = hypothesize(candidate, i, panorama, room, config)
-            again = _on_wall(behind, panoramas, room, config)
-            # A candidate across a corner of measured walls has no plane of its own.
-            flat = ties is not None or isinstance(behind, WallPatch)
-            if flat and (isinstance(again, Refusal) or is_off_wall(*again, panoramas, config)):
-                own = match_freely(candidate, i, panoramas, config, features)
-                again = again if isinstance(own, Refusal) else own
-            if isinstance(again, Refusal):
-                found.outcomes[i].append(again)
-                continue
-            patch, measurements = again
-            if not patch.on_wall:
-                azimuth = float(panorama.cylinder.azimuth_rad(candidate.column))
-                _, wall = room.raycast(panorama.center_map[:2], azimuth + panorama.heading_rad)
-                patch = replace(patch, wall=int(wall))
-            found.outcomes[i].append(Refusal('not elected'))
-            found.patches.append(patch)
-            found.measurements.append(measurements)
-            found.origin.append((i, n))
-    return found
+    features = [
+        None if ties is None else depths_of(ties.seen_by(i), p) for i, p in enumerate(panoramas)
+    ]
+    outcomes: list[list[Landmark | Refusal]] = [[_COVERED] * len(group) for group in candidates]
+    found: dict[tuple[int, int], tuple[WallPatch, list[PatchMeasurement]]] = {}
+    shown: list[list[Candidate]] = [[] for _ in panoramas]
+    every = [(i, n) for i, group in enumerate(candidates) for n in range(len(group))]
+    for i, n in sorted(every, key=lambda at: -candidates[at[0]][at[1]].saliency):
+        panorama, candidate = panoramas[i], candidates[i][n]
+        if any(_overlap(candidate, other, panorama) > max_overlap for other in shown[i]):
+            continue
+        behind = hypothesize(candidate, i, panorama, room, config)
+        again = _on_wall(behind, panoramas, room, config)
+        # A candidate across a corner of measured walls has no plane of its own.
+        flat = ties is not None or isinstance(behind, WallPatch)
+        if flat and (isinstance(again, Refusal) or is_off_wall(*again, panoramas, config)):
+            own = match_freely(candidate, i, panoramas, config, features[i])
+            again = again if isinstance(own, Refusal) else own
+        if isinstance(again, Refusal):
+            outcomes[i][n] = again
+            continue
+        patch, measurements = again
+        if not patch.on_wall:
+            azimuth = float(panorama.cylinder.azimuth_rad(candidate.column))
+            _, wall = room.raycast(panorama.center_map[:2], azimuth + panorama.heading_rad)
+            patch = replace(patch, wall=int(wall))
+        outcomes[i][n] = Refusal('not elected')
+        found[i, n] = patch, measurements
+        if len(measurements) >= _CONFIRMED:
+            for seen in measurements:
+                shown[seen.panorama].append(_as_shown(patch, seen, panoramas[seen.panorama]))
+    origin = sorted(found)
+    patches, measured = [found[at][0] for at in origin], [found[at][1] for at in origin]
+    return Reconstruction(patches, measured, origin, outcomes)
+
+
+def _as_shown(patch: WallPatch, seen: PatchMeasurement, panorama: Panorama) -> Candidate:
+    """Rectangle of a patch in a panorama."""
+    width, height = (patch.shape[::-1] / texels_per_pixel(patch, panorama)).tolist()
+    return replace(
+        patch.candidate,
+        column=float(panorama.cylinder.column_of(seen.azimuth_rad)),
+        row=float(panorama.cylinder.row_of(seen.tangent)),
+        width_px=round(width),
+        height_px=round(height),
+    )
+
+
+def _overlap(one: Candidate, other: Candidate, panorama: Panorama) -> float:
+    """Overlap of two rectangles of a panorama, relative to the smaller one."""
+    half = 0.5 * panorama.cylinder.width
+    across = abs((one.column - other.column + half) % (2.0 * half) - half)
+    down = 0.0 if one.edge and other.edge else abs(one.row - other.row)
+    sizes = [np.array([c.width_px, c.height_px]) for c in (one, other)]
+    return overlap(np.array([across, down]), *sizes)
 
 
 def _on_wall(

@@ -119,8 +119,8 @@ class Ties:
 
     def seen_by(self, panorama: int) -> FloatArray:
         """Points (m, 3) that a panorama shows."""
-        shown = [panorama in {s.panorama for s in group} for group in self.measurements]
-        return np.asarray(self.positions[np.array(shown, dtype=bool)])
+        shown = np.array([[s.panorama for s in g] for g in self.measurements]).reshape(-1, 2)
+        return np.asarray(self.positions[(shown == panorama).any(axis=1)])
 
 
 def own_measurement(patch: WallPatch, panorama: Panorama) -> PatchMeasurement:
