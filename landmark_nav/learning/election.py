@@ -192,7 +192,7 @@ def _overlap(patch: WallPatch, position: FloatArray, other: Landmark) -> float:
     # An edge goes on above and below: its parts share their error.
     if patch.candidate.edge and other.edge:
         apart[1] = 0.0
-    return overlap(apart, size, other_size)
+    return float(overlap(apart, size, other_size))
 
 
 def _view(

@@ -482,7 +482,10 @@ def wall_sections(
 
 def _sum_by(index: IndexArray, values: FloatArray) -> FloatArray:
     """Sum values (k, ...) of equal index (k,), ascending and without gaps, into rows."""
-    return np.asarray(np.add.reduceat(values, np.flatnonzero(np.diff(index, prepend=-1))))
+    starts = np.flatnonzero(np.diff(index, prepend=-1))
+    if 2 * len(starts) == len(index) and (starts[1:] - starts[:-1] == 2).all():
+        return np.asarray(values[::2] + values[1::2])  # much faster
+    return np.asarray(np.add.reduceat(values, starts))
 
 
 def _calibration(

@@ -367,7 +367,7 @@ def reconstruct(
     every = [(i, n) for i, group in enumerate(candidates) for n in range(len(group))]
     for i, n in sorted(every, key=lambda at: -candidates[at[0]][at[1]].saliency):
         panorama, candidate = panoramas[i], candidates[i][n]
-        if any(_overlap(candidate, other, panorama) > max_overlap for other in shown[i]):
+        if (_overlaps(candidate, shown[i], panorama) > max_overlap).any():
             continue
         behind = hypothesize(candidate, i, panorama, room, config)
         again = _on_wall(behind, panoramas, room, config)
@@ -406,13 +406,14 @@ def _as_shown(patch: WallPatch, seen: PatchMeasurement, panorama: Panorama) -> C
     )
 
 
-def _overlap(one: Candidate, other: Candidate, panorama: Panorama) -> float:
-    """Overlap of two rectangles of a panorama, relative to the smaller one."""
-    half = 0.5 * panorama.cylinder.width
-    across = abs((one.column - other.column + half) % (2.0 * half) - half)
-    down = 0.0 if one.edge and other.edge else abs(one.row - other.row)
-    sizes = [np.array([c.width_px, c.height_px]) for c in (one, other)]
-    return overlap(np.array([across, down]), *sizes)
+def _overlaps(one: Candidate, others: Sequence[Candidate], panorama: Panorama) -> FloatArray:
+    """Overlaps (n,) of rectangles of a panorama, relative to the smaller one."""
+    rectangles = [(c.column, c.row, c.width_px, c.height_px, c.edge) for c in others]
+    at, sizes, edges = np.split(np.array(rectangles, np.float64).reshape(-1, 5), [2, 4], axis=1)
+    apart = np.abs(at - (one.column, one.row))
+    apart[:, 0] = np.minimum(apart[:, 0], panorama.cylinder.width - apart[:, 0])
+    apart[:, 1] *= 1.0 - edges[:, 0] * one.edge
+    return overlap(apart, np.array([one.width_px, one.height_px], np.float64), sizes)
 
 
 def _on_wall(

@@ -119,8 +119,12 @@ class Ties:
 
     def seen_by(self, panorama: int) -> FloatArray:
         """Points (m, 3) that a panorama shows."""
-        shown = np.array([[s.panorama for s in g] for g in self.measurements]).reshape(-1, 2)
-        return np.asarray(self.positions[(shown == panorama).any(axis=1)])
+        return np.asarray(self.positions[(self._views == panorama).any(axis=1)])
+
+    @cached_property
+    def _views(self) -> IndexArray:
+        """Both panoramas (n, 2) of each point."""
+        return np.array([[s.panorama for s in g] for g in self.measurements]).reshape(-1, 2)
 
 
 def own_measurement(patch: WallPatch, panorama: Panorama) -> PatchMeasurement:
