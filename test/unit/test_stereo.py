@@ -238,6 +238,22 @@ def test_what_stands_before_a_wall_is_found_at_its_depth(scene, center, angle):
     assert [s.panorama for s in found.measurements[0]] == [0, 1]
 
 
+@pytest.mark.parametrize(('places', 'apart_m', 'count'), [(2, 0.0, 2), (3, 0.0, 1), (3, 0.6, 2)])
+def test_what_several_places_show_is_reconstructed_once(scene, places, apart_m, count):
+    viewpoints = [*zip(CENTERS, HEADINGS, strict=True), (np.array([3.0, 1.6, 1.1]), 1.0)]
+    rng = np.random.default_rng(0)
+    panoramas = [draw_panorama(scene, *at, rng=rng) for at in viewpoints[:places]]
+    seen, again = (
+        replace(candidate_at(panoramas[k], np.array([6.0, y, 1.2]), 32), saliency=saliency)
+        for k, y, saliency in ((0, 2.4, 1.0), (-1, 2.4 + apart_m, 0.5))
+    )
+    candidates = [[seen], *[[]] * (places - 2), [again]]
+    found = reconstruct(panoramas, candidates, ROOM, CONFIG, max_overlap=0.4)
+    assert found.origin == [(0, 0), (places - 1, 0)][:count]
+    assert len(found.measurements[0]) == places
+    assert [len(group) for group in found.outcomes] == [len(group) for group in candidates]
+
+
 EAST_WALL = ROOM.normals[1]
 # Both look east along y = 2.5.
 POSES = np.array([[4.2, 2.5, 1.1, 0.0], [1.8, 2.5, 1.1, 0.0]])
