@@ -43,6 +43,12 @@ _ALONG, _UNCHANGED = 0.2, 0.9
 _UPRIGHT = 0.1
 
 
+def overlap(apart: FloatArray, size: FloatArray, other_size: FloatArray) -> FloatArray:
+    """Overlap of rectangles (..., 2) with centers `apart` (..., 2), relative to the smaller."""
+    common = np.clip((size + other_size) / 2.0 - apart, 0.0, np.minimum(size, other_size))
+    return np.asarray(np.prod(common, -1) / np.minimum(np.prod(size, -1), np.prod(other_size, -1)))
+
+
 def is_upright_edge(patch: npt.NDArray[np.uint8]) -> bool:
     """
     Whether a patch (rows, columns) is certain across only: an upright edge.

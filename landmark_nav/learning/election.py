@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtrc, chdtri
 
-from landmark_nav.geometry.patches import PatchView
+from landmark_nav.geometry.patches import overlap, PatchView
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.adjustment.solution import Adjustment
 from landmark_nav.learning.stereo.wall_patch import (
@@ -192,8 +192,7 @@ def _overlap(patch: WallPatch, position: FloatArray, other: Landmark) -> float:
     # An edge goes on above and below: its parts share their error.
     if patch.candidate.edge and other.edge:
         apart[1] = 0.0
-    common = np.clip((size + other_size) / 2.0 - apart, 0.0, np.minimum(size, other_size))
-    return float(np.prod(common) / min(np.prod(size), np.prod(other_size)))
+    return float(overlap(apart, size, other_size))
 
 
 def _view(

@@ -129,13 +129,14 @@ def learn_from_panoramas(
         seen, walls, normals = found.measurements, found.walls, found.normals
         return adjust(seen, walls, start, panoramas, joint, room, expected, normals, ties)
 
+    how = config.stereo, ties, config.election.max_overlap
     with log.measure('stereo'):
-        found = reconstruct(panoramas, candidates, room, config.stereo, ties)
+        found = reconstruct(panoramas, candidates, room, *how)
         if any(wall.sigma_m for wall in room.walls) and found.patches:
             free = adjusted_by(without_walls)
             room, shift_m = moved_walls(free, found.walls, room, config.adjustment)
             if shift_m > config.adjustment.hanging_sigma_m:
-                found = reconstruct(panoramas, candidates, room, config.stereo, ties)
+                found = reconstruct(panoramas, candidates, room, *how)
     outcomes = found.outcomes
     if len(found.patches) < 3:
         raise LandmarkNavError(

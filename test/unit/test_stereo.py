@@ -27,6 +27,7 @@ from landmark_nav.learning.stereo.wall_patch import (
     own_measurement,
     PatchMeasurement,
     StereoConfig,
+    Ties,
     wall_texture,
     WallPatch,
 )
@@ -236,6 +237,41 @@ def test_what_stands_before_a_wall_is_found_at_its_depth(scene, center, angle):
     assert patch.position == pytest.approx(center, abs=0.03)
     assert patch.normal @ normal > np.cos(0.25)
     assert [s.panorama for s in found.measurements[0]] == [0, 1]
+
+
+@pytest.mark.parametrize(('places', 'apart_m', 'count'), [(2, 0.0, 2), (3, 0.0, 1), (3, 0.6, 2)])
+def test_what_several_places_show_is_reconstructed_once(scene, places, apart_m, count):
+    viewpoints = [*zip(CENTERS, HEADINGS, strict=True), (np.array([3.0, 1.6, 1.1]), 1.0)]
+    rng = np.random.default_rng(0)
+    panoramas = [draw_panorama(scene, *at, rng=rng) for at in viewpoints[:places]]
+    seen, again = (
+        replace(candidate_at(panoramas[k], np.array([6.0, y, 1.2]), 32), saliency=saliency)
+        for k, y, saliency in ((0, 2.4, 1.0), (-1, 2.4 + apart_m, 0.5))
+    )
+    candidates = [[seen], *[[]] * (places - 2), [again]]
+    ties = Ties(np.empty((0, 3)), [], np.zeros((4 * places, 0)))
+    found = reconstruct(panoramas, candidates, ROOM, CONFIG, ties, max_overlap=0.4)
+    assert found.origin == [(0, 0), (places - 1, 0)][:count]
+    assert len(found.measurements[0]) == places
+    assert [len(group) for group in found.outcomes] == [len(group) for group in candidates]
+
+
+def test_a_reserve_is_measured_where_it_shows_its_depth_best(scene):
+    centers = [
+        *CENTERS,
+        *(np.array([x, y, 1.1]) for x, y in [(3, 1.6), (2.4, 2.2), (2, 3), (3, 4)]),
+    ]
+    rng = np.random.default_rng(0)
+    panoramas = [draw_panorama(scene, center, 0.4, rng=rng) for center in centers]
+    point = np.array([6.0, 2.4, 1.2])
+    first, again = (candidate_at(panorama, point, 32) for panorama in panoramas[:2])
+    candidates = [[first], [replace(again, saliency=0.5)], *[[]] * 4]
+    found = reconstruct(panoramas, candidates, ROOM, CONFIG, max_overlap=0.4)
+    one, other = ([s.panorama for s in group] for group in found.measurements)
+    assert one == [0, 1, 2, 3, 4, 5]
+    assert other[0] == 1
+    assert 5 in other[1:]
+    assert len(other) < len(one)
 
 
 EAST_WALL = ROOM.normals[1]

@@ -117,10 +117,10 @@ def adjust(
     seen = config.azimuth_sigma_rad, config.tangent_sigma
     hanging = config.common_hanging_sigma_m, config.wall_sigma_m, config.hanging_sigma_m
     expected = np.array([*seen, config.relief_sigma_m, 1.0, 1.0, *hanging])
-    points, shared = _settle(problem, start, expected)
+    at = _settle(problem, start, expected)
     # A position takes three degrees of freedom.
     freedom = 2 * np.bincount(problem.landmark, minlength=problem.count) + 1 - 3
-    misfit = _misfit(problem, problem.linearize(points, shared), expected)
+    misfit = _misfit(problem, at, expected)
     trusted = misfit < chdtri(freedom, _OUTLIER_PROBABILITY)
     influence = np.where(trusted, 1.0, _NO_INFLUENCE)
     weight = np.full(len(expected), config.camera_weight)
@@ -128,19 +128,18 @@ def adjust(
     weight[_HANGING] = config.room_weight
     noise, damping = expected, Damping()
     for _ in range(_NOISE_ITERATIONS):
-        at = problem.linearize(points, shared)
         weights = _information(problem, at, noise, influence)
-        points, shared, moved = _step(problem, at, points, shared, weights, damping)
-        better, fewness = _noise(problem, points, shared, noise, expected, influence, weight)
+        at, moved = _step(problem, at, weights, damping)
+        better, fewness = _noise(problem, at, noise, expected, influence, weight)
         still = np.abs(better / noise - 1.0).max() < _NOISE_CONVERGED
         noise = better
         if still and moved < _CONVERGED:
             break
     # The mean of a variance exceeds its mode, the more so the fewer residuals it is based on.
     noise = noise * np.sqrt(fewness)
-    at = problem.linearize(points, shared)
+    points, shared = at.points, at.shared
     weights = _information(problem, at, noise, influence)
-    equations = problem.normal_equations(at, shared, weights)
+    equations = problem.normal_equations(at, weights)
     covariance = equations.shared_covariance.copy()
     if ties is not None:
         covariance[problem.pose_part, problem.pose_part] += (
@@ -164,49 +163,38 @@ def adjust(
     )
 
 
-def _settle(
-    problem: Problem, start: FloatArray, sigma: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Robust initial landmarks (n, 3) and shared unknowns (m,)."""
-    points, shared, damping = start.copy(), problem.prior, Damping()
+def _settle(problem: Problem, start: FloatArray, sigma: FloatArray) -> Linearized:
+    """Robust initial landmarks and shared unknowns, and the problem there."""
+    at, damping = problem.linearize(start, problem.prior), Damping()
     for step in range(_MAX_ITERATIONS):
         # False matches and objects off the walls must affect neither their neighbours nor the
         # poses, even if they are many: a redescending weight (Geman and McClure, 1987), narrower
         # with each step, as the poses explain more of the misfit.
         tail_width = max(_TAIL_WIDTH_AT_FIRST / 2**step, _TAIL_WIDTH)
-        at = problem.linearize(points, shared)
         weight = (1.0 + _misfit(problem, at, sigma) / tail_width) ** -2.0
         seen, wall = _variances(problem, sigma)
         weights = Weights(weight[problem.landmark, None] / seen, weight / wall, sigma[_SPREAD])
-        points, shared, moved = _step(problem, at, points, shared, weights, damping)
+        at, moved = _step(problem, at, weights, damping)
         if step > 4 and moved < _CONVERGED:
             break
-    return points, shared
+    return at
 
 
 def _step(
-    problem: Problem,
-    at: Linearized,
-    points: FloatArray,
-    shared: FloatArray,
-    weights: Weights,
-    damping: Damping,
-) -> tuple[FloatArray, FloatArray, float]:
-    """Landmarks and shared unknowns after one damped step, and the largest change."""
-    equations = problem.normal_equations(at, shared, weights)
+    problem: Problem, at: Linearized, weights: Weights, damping: Damping
+) -> tuple[Linearized, float]:
+    """The problem after one damped step, and the largest change."""
+    equations = problem.normal_equations(at, weights)
 
-    def stepped(by: float) -> tuple[FloatArray, FloatArray]:
-        point_step, shared_step = equations.damped(by).solve()
-        length = np.linalg.norm(point_step, axis=1, keepdims=True)
-        point_step = point_step * np.minimum(1.0, _LONGEST_M / np.maximum(length, _LONGEST_M))
-        return points + point_step, shared + shared_step
+    def stepped(by: float) -> Linearized:
+        points, shared = equations.damped(by).solve()
+        length = np.linalg.norm(points, axis=1, keepdims=True)
+        points = points * np.minimum(1.0, _LONGEST_M / np.maximum(length, _LONGEST_M))
+        return problem.linearize(at.points + points, at.shared + shared)
 
-    def cost(state: tuple[FloatArray, FloatArray]) -> float:
-        return problem.cost(problem.linearize(*state), state[1], weights)
-
-    there = damping.step((points, shared), stepped, cost)
-    moved = max(np.abs(new - old).max() for new, old in zip(there, (points, shared), strict=True))
-    return *there, float(moved)
+    there = damping.step(at, stepped, lambda state: problem.cost(state, weights))
+    changes = there.points - at.points, there.shared - at.shared
+    return there, max(float(np.abs(change).max()) for change in changes)
 
 
 def _main_factors(loading: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -256,8 +244,7 @@ def _misfit(
 
 def _noise(
     problem: Problem,
-    points: FloatArray,
-    shared: FloatArray,
+    at: Linearized,
     noise: FloatArray,
     expected: FloatArray,
     influence: FloatArray,
@@ -267,9 +254,8 @@ def _noise(
     # Variance components by restricted maximum likelihood (Patterson and Thompson, 1971;
     # Foerstner's form): sums of squared residuals over their redundancy. Expected sigmas count as
     # `weight` residuals each.
-    at = problem.linearize(points, shared)
     weights = _information(problem, at, noise, influence)
-    equations = problem.normal_equations(at, shared, weights)
+    equations = problem.normal_equations(at, weights)
     seen, wall = problem.predicted_variance(at, equations)
     counted = influence > 0.5
     # What of each residual is noise: not explained by the solution.
@@ -285,7 +271,7 @@ def _noise(
         residual, variance, trust, free = (part[who] for part in parts)
         squares[k] = np.sum(trust * residual**2 * noise[k] ** 2 / variance)
         counts[k] = np.sum(np.maximum(free, 0.0) * noise[k] ** 2 / variance)
-    squares[_SPREAD], counts[_SPREAD] = problem.spread_misfit(shared, equations, noise[_SPREAD])
+    squares[_SPREAD], counts[_SPREAD] = problem.spread_misfit(at.shared, equations, noise[_SPREAD])
     pull = weight * (expected / noise) ** 2
     better = noise * np.sqrt((squares + pull) / (counts + weight))
     fewness = 1.0 + 2.0 * counts / (counts + weight) ** 2

@@ -15,11 +15,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from landmark_nav.geometry.patches import overlap
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.stereo.wall_patch import (
     own_measurement,
     PatchMeasurement,
     StereoConfig,
+    texels_per_pixel,
     Ties,
     WallPatch,
 )
@@ -54,6 +56,12 @@ _NEAR_M, _MARGIN_M = 0.1, 0.01
 # Relative sigma of a size by surfaces that are not flat, and greatest disagreement of sizes and
 # depth, in sigmas.
 _SIZE_SIGMA, _SIZE_SIGMAS = 0.02, 3.0
+# Number of panoramas that show a patch beyond doubt, its own among them: one match may be false.
+_CONFIRMED = 3
+# Number of other panoramas in which a reserve is searched: measurements of more add little to the
+# relief of what hangs there.
+_MOST_VIEWS = 3
+_COVERED = Refusal('covered by a stronger candidate')
 
 
 def match_freely(
@@ -61,10 +69,11 @@ def match_freely(
     source: int,
     panoramas: Sequence[Panorama],
     config: StereoConfig,
+    others: Sequence[int],
     depths: Depths | None = None,
 ) -> tuple[WallPatch, list[PatchMeasurement]] | Refusal:
     """
-    Find a candidate of panorama number `source` in the others, at any depth.
+    Find a candidate of panorama number `source` in `others`, at any depth.
 
     `depths` are those of matched features. The result is the patch on its own plane and its
     measurements, that of its own panorama first.
@@ -73,7 +82,6 @@ def match_freely(
     if depths is not None and known is None and not candidate.edge:
         return Refusal('no feature around it is found again')
     strict = max(config.min_score, _MIN_SCORE)
-    others = [other for other in range(len(panoramas)) if other != source]
     searches = [_Search(candidate, source, other, panoramas, config) for other in others]
     best: tuple[float, WallPatch] | None = None
     refused = Refusal('found at no depth')
@@ -344,45 +352,110 @@ def reconstruct(
     room: Room,
     config: StereoConfig,
     ties: Ties | None = None,
+    max_overlap: float = 1.0,
 ) -> Reconstruction:
     """
     Search each candidate in the other panoramas: on the wall behind it, else on its own plane.
 
-    `ties` are features that panoramas share: they give the range of patches around them.
+    `ties` are features that panoramas share: they give the range of patches around them. Of a
+    candidate, a stronger one that several panoramas show may cover a share of more than
+    `max_overlap` in its panorama. It is a reserve, and shows how far things are from the wall: it
+    is searched in the panoramas that show its depth best, and not at all if `ties` give the poses.
     """
-    found = Reconstruction([], [], [], [[] for _ in panoramas])
-    for i, panorama in enumerate(panoramas):
-        features = None if ties is None else depths_of(ties.seen_by(i), panorama)
-        for n, candidate in enumerate(candidates[i]):
-            behind = hypothesize(candidate, i, panorama, room, config)
-            again = _on_wall(behind, panoramas, room, config)
-            # A candidate across a corner of measured walls has no plane of its own.
-            flat = ties is not None or isinstance(behind, WallPatch)
-            if flat and (isinstance(again, Refusal) or is_off_wall(*again, panoramas, config)):
-                own = match_freely(candidate, i, panoramas, config, features)
-                again = again if isinstance(own, Refusal) else own
-            if isinstance(again, Refusal):
-                found.outcomes[i].append(again)
+    features = [
+        None if ties is None else depths_of(ties.seen_by(i), p) for i, p in enumerate(panoramas)
+    ]
+    outcomes: list[list[Landmark | Refusal]] = [[_COVERED] * len(group) for group in candidates]
+    found: dict[tuple[int, int], tuple[WallPatch, list[PatchMeasurement]]] = {}
+    shown: list[list[_Shown]] = [[] for _ in panoramas]
+    every = [(i, n) for i, group in enumerate(candidates) for n in range(len(group))]
+    for i, n in sorted(every, key=lambda at: -candidates[at[0]][at[1]].saliency):
+        panorama, candidate = panoramas[i], candidates[i][n]
+        others = [j for j in range(len(panoramas)) if j != i]
+        overlaps = _overlaps(candidate, shown[i], panorama)
+        is_covered = overlaps.max(initial=0.0) > max_overlap
+        if is_covered:
+            if ties is not None:
                 continue
-            patch, measurements = again
-            if not patch.on_wall:
-                azimuth = float(panorama.cylinder.azimuth_rad(candidate.column))
-                _, wall = room.raycast(panorama.center_map[:2], azimuth + panorama.heading_rad)
-                patch = replace(patch, wall=int(wall))
-            found.outcomes[i].append(Refusal('not elected'))
-            found.patches.append(patch)
-            found.measurements.append(measurements)
-            found.origin.append((i, n))
-    return found
+            others = shown[i][int(overlaps.argmax())].best_views(i, panoramas)
+        behind = hypothesize(candidate, i, panorama, room, config)
+        again = _on_wall(behind, others, panoramas, room, config)
+        # A candidate across a corner of measured walls has no plane of its own.
+        flat = ties is not None or isinstance(behind, WallPatch)
+        if flat and (isinstance(again, Refusal) or is_off_wall(*again, panoramas, config)):
+            own = match_freely(candidate, i, panoramas, config, others, features[i])
+            again = again if isinstance(own, Refusal) else own
+        if isinstance(again, Refusal):
+            outcomes[i][n] = again
+            continue
+        patch, measurements = again
+        if not patch.on_wall:
+            azimuth = float(panorama.cylinder.azimuth_rad(candidate.column))
+            _, wall = room.raycast(panorama.center_map[:2], azimuth + panorama.heading_rad)
+            patch = replace(patch, wall=int(wall))
+        outcomes[i][n] = Refusal('not elected')
+        found[i, n] = patch, measurements
+        if len(measurements) >= _CONFIRMED and not is_covered:
+            views = [seen.panorama for seen in measurements]
+            for k, seen in zip(views, measurements, strict=True):
+                rectangle = _rectangle(patch, seen, panoramas[k])
+                shown[k].append(_Shown(rectangle, patch.position, views))
+    origin = sorted(found)
+    patches, measured = [found[at][0] for at in origin], [found[at][1] for at in origin]
+    return Reconstruction(patches, measured, origin, outcomes)
+
+
+class _Shown(NamedTuple):
+    """Rectangle of a patch in a panorama, its position (3,) and all panoramas that show it."""
+
+    rectangle: Candidate
+    position: FloatArray
+    views: list[int]
+
+    def best_views(self, source: int, panoramas: Sequence[Panorama]) -> list[int]:
+        """Other panoramas that show it, those with most information about its depth."""
+        away = {k: self.position - panoramas[k].center_map for k in self.views}
+        # Parallax per metre of depth.
+        slopes = {
+            k: float(np.linalg.norm(np.cross(away[source], ray)) / (ray @ ray))
+            for k, ray in away.items()
+            if k != source
+        }
+        return sorted(sorted(slopes, key=lambda k: -slopes[k])[:_MOST_VIEWS])
+
+
+def _rectangle(patch: WallPatch, seen: PatchMeasurement, panorama: Panorama) -> Candidate:
+    """Rectangle of a patch in a panorama."""
+    width, height = (patch.shape[::-1] / texels_per_pixel(patch, panorama)).tolist()
+    return replace(
+        patch.candidate,
+        column=float(panorama.cylinder.column_of(seen.azimuth_rad)),
+        row=float(panorama.cylinder.row_of(seen.tangent)),
+        width_px=round(width),
+        height_px=round(height),
+    )
+
+
+def _overlaps(one: Candidate, others: Sequence[_Shown], panorama: Panorama) -> FloatArray:
+    """Overlaps (n,) of rectangles of a panorama, relative to the smaller one."""
+    rectangles = [(c.column, c.row, c.width_px, c.height_px, c.edge) for c, _, _ in others]
+    at, sizes, edges = np.split(np.array(rectangles, np.float64).reshape(-1, 5), [2, 4], axis=1)
+    apart = np.abs(at - (one.column, one.row))
+    apart[:, 0] = np.minimum(apart[:, 0], panorama.cylinder.width - apart[:, 0])
+    apart[:, 1] *= 1.0 - edges[:, 0] * one.edge
+    return overlap(apart, np.array([one.width_px, one.height_px], np.float64), sizes)
 
 
 def _on_wall(
-    patch: WallPatch | Refusal, panoramas: Sequence[Panorama], room: Room, config: StereoConfig
+    patch: WallPatch | Refusal,
+    others: Sequence[int],
+    panoramas: Sequence[Panorama],
+    room: Room,
+    config: StereoConfig,
 ) -> tuple[WallPatch, list[PatchMeasurement]] | Refusal:
     """Match a candidate on the wall behind it."""
     if isinstance(patch, Refusal):
         return patch
-    others = [j for j in range(len(panoramas)) if j != patch.source]
     matches = [match_in(patch, j, panoramas, room, config) for j in others]
     seen = [match for match in matches if isinstance(match, PatchMeasurement)]
     if not seen:

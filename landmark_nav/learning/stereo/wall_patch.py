@@ -119,8 +119,12 @@ class Ties:
 
     def seen_by(self, panorama: int) -> FloatArray:
         """Points (m, 3) that a panorama shows."""
-        shown = [panorama in {s.panorama for s in group} for group in self.measurements]
-        return np.asarray(self.positions[np.array(shown, dtype=bool)])
+        return np.asarray(self.positions[(self._views == panorama).any(axis=1)])
+
+    @cached_property
+    def _views(self) -> IndexArray:
+        """Both panoramas (n, 2) of each point."""
+        return np.array([[s.panorama for s in g] for g in self.measurements]).reshape(-1, 2)
 
 
 def own_measurement(patch: WallPatch, panorama: Panorama) -> PatchMeasurement:

@@ -124,7 +124,9 @@ def textures(landmark: Landmark, viewer: FloatArray) -> list[Texture]:
         farther = max(math.log(its_reach / reach), 0.0)
         misfit.append(((its_angle - angle) / _ASIDE_RAD) ** 2 + (farther / _FARTHER) ** 2)
     weight = [math.exp(0.5 * (min(misfit) - m)) for m in misfit]
-    kept = [(k, w) for k, w in enumerate(weight) if w >= _LEAST_SHARE * sum(weight)]
+    # Of many equal views, none has the least share: the best one, of weight 1, is always kept.
+    least = min(_LEAST_SHARE * sum(weight), 1.0)
+    kept = [(k, w) for k, w in enumerate(weight) if w >= least]
     total = sum(w for _, w in kept)
     return [Texture(views[k][0], w / total) for k, w in kept]
 
