@@ -12,11 +12,8 @@ from landmark_nav.cli.options import add, open_bag, within, wrapped
 from landmark_nav.errors import LandmarkNavError, UsageError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.image_codec import encode_image
-from landmark_nav.learning.calibration.sweep_calibration import (
-    align_sweep,
-    as_calibrated,
-    calibrate_sweep,
-)
+from landmark_nav.learning.calibration.overlap_fit import as_calibrated
+from landmark_nav.learning.calibration.sweep_calibration import align_sweep, calibrate_sweep
 from landmark_nav.learning.calibration.turn import check_turn
 from landmark_nav.learning.panorama.photometry import even_out, measure_photometry
 from landmark_nav.learning.panorama.synthesis import synthesize_cylinder

@@ -22,8 +22,8 @@ from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_one_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
+from landmark_nav.learning.calibration.overlap_fit import as_calibrated
 from landmark_nav.learning.calibration.sweep_calibration import (
-    as_calibrated,
     calibrate_sweep,
     FAR_M,
     HEIGHT,

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import pairwise
 
 import cv2
@@ -18,8 +19,9 @@ import numpy.typing as npt
 from scipy.sparse import csr_array
 
 from landmark_nav.arrays import IndexArray
+from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.geometry.camera import CameraModel, PanTiltMount
+from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.learning.least_squares import covariance_of, Damping, solve_positive
 from landmark_nav.learning.panorama.photometry import even_out, measure_photometry
@@ -152,13 +154,18 @@ def _track(first: FrameSlab, second: FrameSlab, cylinder: Cylinder) -> FloatArra
     return np.stack([corners[good, 0] + offset, ends[good, 0] + offset], 1)
 
 
-# Terms that all frames share: relative focal length, first radial distortion, relative pan, angles
-# of the camera, offset of the optical centre from the axis, forward and left, and of the principal
-# point, to the right over the focal length.
-COMMON = (
-    *('focal_length', 'distortion', 'pan_scale', 'tilt', 'roll', 'forward', 'left'),
-    'principal_point',
-)
+# Terms that all frames share -> the quantity of a `Calibration` that they correct.
+COMMON = {
+    'focal_length': 'focal_scale',
+    'distortion': 'distortion',
+    'pan_scale': 'pan_scale',
+    'tilt': 'camera_tilt',
+    'roll': 'camera_roll',
+    'forward': 'center_x',
+    'left': 'center_y',
+    'principal_point': 'principal_point',
+}
+CORRECTED = [NAMES.index(name) for name in COMMON.values()]
 _STEPS = np.array([1e-5, 1e-4, 1e-6, 1e-6, 1e-6, 1e-4, 1e-4, 1e-5])
 _ITERATIONS = 12
 _CONVERGED_PX = 5e-3
@@ -193,29 +200,28 @@ class Fit:
 
 class OverlapProblem:
     """
-    Matches of a sweep, whose frames have one camera, as functions of its calibration.
+    Matches of a sweep, whose frames have one camera, as functions of corrections of a calibration.
 
-    `range_m` gives the horizontal range from the axis, m, at azimuths and tangents (n,); it may be
-    `guessed`, not that of walls.
+    The sweep has camera and joints as given. `range_m` gives the horizontal range from the axis,
+    m, at azimuths and tangents (n,); it may be `guessed`, not that of walls.
     """
 
     def __init__(
         self,
         overlaps: Overlaps,
         sweep: Sweep,
-        mount: PanTiltMount,
+        prior: Calibration,
         range_m: RangeOfRay | None = None,
         guessed: bool = False,
     ) -> None:
-        self._overlaps, self._mount = overlaps, mount
+        self._overlaps, self._prior = overlaps, prior
         self._camera = sweep.frames[0].camera
         self._used, links = np.unique(overlaps.frames, return_inverse=True)
         self._links = links.reshape(-1, 2)
         self._count = len(sweep.frames)
-        chosen = [sweep.frames[k] for k in self._used]
-        self._angles = np.array([(f.pan_rad, f.tilt_rad, f.roll_rad) for f in chosen])
+        self._angles = _angles(sweep)[self._used]
         self._rays: dict[tuple[float, float, float], FloatArray] = {}
-        self._last = np.zeros(len(COMMON) + 3 * len(chosen))
+        self._last = np.zeros(len(COMMON) + 3 * len(self._used))
         self._slopes: tuple[FloatArray, FloatArray] | None = None
         self._range: FloatArray | None = None
         self._room_share = _GUESS_SHARE if guessed else _ROOM_SHARE
@@ -348,12 +354,13 @@ class OverlapProblem:
     def _seen(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Azimuths and tangents (m, 2) of both rays of each match, at the axis."""
         common, turns = x[: len(COMMON)], x[len(COMMON) :].reshape(-1, 3)
-        camera, mount = _camera(self._camera, common), _mount(self._mount, common)
-        pan, tilt, roll = (_angles(self._angles, common) + turns)[self._links].T
+        known = corrected(self._prior, common)
+        mount = known.mount
+        pan, tilt, roll = (_calibrated(self._angles, known) + turns)[self._links].T
         rotation, center = mount.camera_pose_base(pan.T, tilt.T, roll.T)
         lens = (float(common[0]), float(common[1]), float(common[7]))
         if lens not in self._rays:
-            self._rays[lens] = camera.unproject(self._overlaps.pixels)
+            self._rays[lens] = known.camera(self._camera).unproject(self._overlaps.pixels)
         ray = np.einsum('mkij,mkj->mki', rotation, self._rays[lens])
         if self._range is None:
             azimuth = np.arctan2(ray[..., 1], ray[..., 0])
@@ -401,30 +408,32 @@ def _whitening_share(variance: npt.ArrayLike, square: npt.ArrayLike) -> FloatArr
     return np.asarray((1.0 - 1.0 / np.sqrt(1.0 + np.asarray(variance) * size)) / size)
 
 
-def corrected(sweep: Sweep, fit: Fit) -> Sweep:
-    """Return a sweep with lens and joint angles of each frame as fitted."""
-    angles = np.array([(f.pan_rad, f.tilt_rad, f.roll_rad) for f in sweep.frames])
-    turned = _angles(angles, fit.common) + fit.frames
-    camera = _camera(sweep.frames[0].camera, fit.common)
+def corrected(calibration: Calibration, common: FloatArray) -> Calibration:
+    """Return a calibration with corrections (8,), in the order of `COMMON`."""
+    values = calibration.values.copy()
+    values[CORRECTED] += common
+    return replace(calibration, values=values)
+
+
+def as_calibrated(
+    sweep: Sweep, calibration: Calibration, turns: FloatArray | float = 0.0
+) -> Sweep:
+    """Return a sweep with camera and joints as calibrated, each frame turned by `turns` (n, 3)."""
+    camera = cache(calibration.camera)
     frames = (
-        replace(frame, camera=camera, pan_rad=pan, tilt_rad=tilt, roll_rad=roll)
-        for frame, (pan, tilt, roll) in zip(sweep.frames, turned.tolist(), strict=True)
+        replace(frame, camera=camera(frame.camera), pan_rad=pan, tilt_rad=tilt, roll_rad=roll)
+        for frame, (pan, tilt, roll) in zip(
+            sweep.frames, (_calibrated(_angles(sweep), calibration) + turns).tolist(), strict=True
+        )
     )
     return replace(sweep, frames=tuple(frames))
 
 
-def _camera(camera: CameraModel, common: FloatArray) -> CameraModel:
-    return camera.adjusted(float(np.exp(common[0])), float(common[7]), float(common[1]))
+def _angles(sweep: Sweep) -> FloatArray:
+    """Pan, tilt and roll (n, 3) of the frames."""
+    return np.array([(f.pan_rad, f.tilt_rad, f.roll_rad) for f in sweep.frames])
 
 
-def _mount(mount: PanTiltMount, common: FloatArray) -> PanTiltMount:
-    x, y, z = mount.optical_center_offset
-    if not common[5] and not common[6]:
-        return mount
-    return replace(mount, optical_center_offset=(x + float(common[5]), y + float(common[6]), z))
-
-
-def _angles(angles: FloatArray, common: FloatArray) -> FloatArray:
-    """Pan, tilt and roll (n, 3) with the common terms."""
-    scaled = angles * [1.0 + common[2], 1.0, 1.0]
-    return np.asarray(scaled + np.array([0.0, common[3], common[4]]))
+def _calibrated(angles: FloatArray, known: Calibration) -> FloatArray:
+    scale, tilt = known['pan_scale'][0], known['camera_tilt'][0]
+    return np.asarray(angles * [1.0 + scale, 1.0, 1.0] + [0.0, tilt, 0.0])

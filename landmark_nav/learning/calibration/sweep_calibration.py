@@ -18,7 +18,6 @@ the values of the prior: otherwise a calibrated camera would get the noise of tr
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from functools import cache
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -29,7 +28,9 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.se2 import rotation_rpy
 from landmark_nav.learning.calibration.overlap_fit import (
+    as_calibrated,
     COMMON,
+    CORRECTED,
     corrected,
     Fit,
     OverlapProblem,
@@ -55,17 +56,6 @@ _ROUNDS, _LEAST_PER_FRAME = 2, 6
 # The two parts of the camera's height; images show their sum.
 HEIGHT = ('axis_z', 'center_z')
 _AXIS_TILT = ('axis_roll', 'axis_pitch')
-# Term of a sweep -> the quantity that it corrects.
-_QUANTITIES = {
-    'focal_length': 'focal_scale',
-    'pan_scale': 'pan_scale',
-    'tilt': 'camera_tilt',
-    'roll': 'camera_roll',
-    'forward': 'center_x',
-    'left': 'center_y',
-    'principal_point': 'principal_point',
-    'distortion': 'distortion',
-}
 # Smaller information is rounding: relative to the largest; of a tilt, 1 / rad^2.
 _ROUNDING, _LEAST_INFORMATION = 1e-9, 1e-3
 
@@ -113,33 +103,33 @@ def calibrate_sweep(
         A former calibration, with which the overlaps are tracked: patches that are scaled or
         sheared against each other are tracked with a bias.
     """
-    given, mount = as_calibrated(sweep, prior), prior.mount
-    seen = (found.sweep, found.mount) if found else (given, mount)
+    given = as_calibrated(sweep, prior)
+    seen = (found.sweep, found.mount) if found else (given, prior.mount)
     overlaps = track_overlaps(*seen) if len(sweep.frames) > 2 else Overlaps.none()
     links, cameras = len(np.unique(overlaps.pair)), {frame.camera for frame in sweep.frames}
     if not links or len(overlaps) < _LEAST_PER_LINK * links or len(cameras) > 1:
         return SweepCalibration(given, prior, np.zeros(len(COMMON)), PanoramaQuality())
     reach_m = range_m or usual_range
-    problem = OverlapProblem(overlaps, given, mount, reach_m, guessed=range_m is None)
+    problem = OverlapProblem(overlaps, sweep, prior, reach_m, guessed=range_m is None)
     free = [_FOCAL, _TILT, _ROLL]
     if overlaps.closed:
         free.append(_SCALE)
-    if given.frames[0].camera.model != 'equidistant':
+    if sweep.frames[0].camera.model != 'equidistant':
         free.append(_DISTORTION)
     if range_m is not None:
         free += [_FORWARD, _LEFT, _PRINCIPAL]
     fit = problem.fit(sorted(free), _UNIT_SIGMA_RAD)
-    common, covariance = _posterior_terms(prior, fit)
+    after, shown = with_overlaps(prior, prior, fit), np.diag(fit.covariance) > 0.0
+    common = np.where(shown, (after.values - prior.values)[CORRECTED], 0.0)
+    covariance = after.covariance[np.ix_(CORRECTED, CORRECTED)] * np.outer(shown, shown)
     # Whether the overlaps contradict the values before: chi-square of all terms together.
-    shown = np.diag(fit.covariance) > 0.0
     misfit = fit.common[shown] @ solve_positive(
         fit.covariance[np.ix_(shown, shown)], fit.common[shown]
     )
     differs = misfit > chdtri(int(shown.sum()), _CHANCE)
     used = replace(fit, common=common) if differs else problem.fit([], _UNIT_SIGMA_RAD)
     quality = _quality(problem, overlaps, used, _terms(used.common, covariance))
-    names, values = _corrected_values(prior, used.common)
-    made = prior.with_values(**dict(zip(names, values.tolist(), strict=True)))
+    made = corrected(prior, used.common)
     return SweepCalibration(as_calibrated(sweep, made), made, used.common, quality, fit)
 
 
@@ -158,6 +148,7 @@ def align_sweep(sweep: Sweep, mount: PanTiltMount) -> tuple[Sweep, PanoramaQuali
     camera = replace(sweep.frames[0].camera, fx=fx, fy=fy)
     frames = tuple(replace(frame, camera=camera) for frame in sweep.frames)
     given = aligned = replace(sweep, frames=frames)
+    prior = Calibration.of_mount(mount)
     free = [_FOCAL] if camera.model == 'equidistant' else [_FOCAL, _DISTORTION]
     for _ in range(_ROUNDS):
         overlaps = track_overlaps(aligned, mount, every_frame=True)
@@ -166,9 +157,9 @@ def align_sweep(sweep: Sweep, mount: PanTiltMount) -> tuple[Sweep, PanoramaQuali
                 f'{len(overlaps)} matches between neighbouring frames are too few to '
                 'align them: they need to overlap and to show texture'
             )
-        problem = OverlapProblem(overlaps, given, mount)
+        problem = OverlapProblem(overlaps, given, prior)
         fit = problem.fit(free, _ROUGH_SIGMA_RAD)
-        aligned = corrected(given, fit)
+        aligned = as_calibrated(given, corrected(prior, fit.common), fit.frames)
     residual_px = problem.misfit_px(fit.common, fit.frames)
     quality = _quality(problem, overlaps, fit, _terms(fit.common, fit.covariance))
     return aligned, replace(quality, residual_px=residual_px)
@@ -183,7 +174,7 @@ def _terms(common: FloatArray, covariance: FloatArray) -> tuple[CalibrationTerm,
         # that does not depend on the uncertainty of the distortion.
         both = covariance[_FOCAL, _DISTORTION]
         lever = both / covariance[_DISTORTION, _DISTORTION]
-        value = float(np.expm1(common[_FOCAL] - lever * common[_DISTORTION]))
+        value = float(common[_FOCAL] - lever * common[_DISTORTION])
         sigma = float(np.sqrt(covariance[_FOCAL, _FOCAL] - lever * both))
         terms[_FOCAL] = CalibrationTerm('focal_length', value, sigma)
     return tuple(term for term in terms if term.sigma)
@@ -216,46 +207,6 @@ def usual_range(azimuth: FloatArray, tangent: FloatArray | None = None) -> Float
     return np.full(azimuth.shape, _USUAL_RANGE_M)
 
 
-def as_calibrated(sweep: Sweep, calibration: Calibration) -> Sweep:
-    """Return a sweep with camera and joints as calibrated."""
-    pan_scale, tilt = 1.0 + calibration['pan_scale'][0], calibration['camera_tilt'][0]
-    camera = cache(calibration.camera)
-    frames = (
-        replace(
-            frame,
-            camera=camera(frame.camera),
-            pan_rad=frame.pan_rad * pan_scale,
-            tilt_rad=frame.tilt_rad + tilt,
-        )
-        for frame in sweep.frames
-    )
-    return replace(sweep, frames=tuple(frames))
-
-
-def _posterior_terms(before: Calibration, fit: Fit) -> tuple[FloatArray, FloatArray]:
-    """Terms (8,) by a fit and the prior `before`, zero if the fit lacks them; covariance."""
-    after = with_overlaps(before, before, fit)
-    index = [NAMES.index(_QUANTITIES[term]) for term in COMMON]
-    terms, slope = (after.values - before.values)[index], 1.0 * (np.diag(fit.covariance) > 0.0)
-    for k in (COMMON.index('focal_length'), COMMON.index('pan_scale')):
-        slope[k] /= 1.0 + before.values[index[k]]
-    terms *= slope
-    terms[COMMON.index('focal_length')] = np.log1p(terms[COMMON.index('focal_length')])
-    return terms, after.covariance[np.ix_(index, index)] * np.outer(slope, slope)
-
-
-def _corrected_values(before: Calibration, common: FloatArray) -> tuple[list[str], FloatArray]:
-    """Names and values (q,) of the quantities that terms of a sweep correct."""
-    names = list(_QUANTITIES.values())
-    values = np.array([before[name][0] for name in names])
-    terms = common[[COMMON.index(term) for term in _QUANTITIES]]
-    focal, pan_scale = names.index('focal_scale'), names.index('pan_scale')
-    found = values + terms
-    found[focal] = (1.0 + values[focal]) * np.exp(terms[focal]) - 1.0
-    found[pan_scale] = (1.0 + values[pan_scale]) * (1.0 + terms[pan_scale]) - 1.0
-    return names, found
-
-
 def with_overlaps(known: Calibration, before: Calibration, fit: Fit | None) -> Calibration:
     """
     Update a calibration by the overlaps of a sweep, whose terms correct that of `before`.
@@ -267,14 +218,10 @@ def with_overlaps(known: Calibration, before: Calibration, fit: Fit | None) -> C
     """
     if fit is None:
         return known
-    terms = np.array([COMMON.index(term) for term in _QUANTITIES])
-    covariance = fit.covariance[np.ix_(terms, terms)]
-    shown = np.diag(covariance) > 0.0
-    names, values = _corrected_values(before, fit.common)
-    rows = np.array(names)[:, None] == np.array(NAMES)
-    return known.observed(
-        rows[shown].astype(np.float64), values[shown], covariance[np.ix_(shown, shown)]
-    )
+    shown = np.diag(fit.covariance) > 0.0
+    rows = np.eye(len(NAMES))[CORRECTED][shown]
+    values = rows @ before.values + fit.common[shown]
+    return known.observed(rows, values, fit.covariance[np.ix_(shown, shown)])
 
 
 def with_papers(
