@@ -155,7 +155,12 @@ def locate(
         except LandmarkNavError as error:
             _LOG.warning('%s: only what stands for itself is learned', error)
             room = open_room(joined, eyes, config.facades)
-        measured = [m for _, pairs in matched for m in _measured(pairs, sigma)]
+        off_axis = [_off_axis_m(panorama) for panorama in panoramas]
+        measured = [
+            m
+            for points, pairs in matched
+            for m in _measured(points, pairs, sigma, room, eyes, off_axis)
+        ]
         shared_errors = poses.shared_errors.reshape(len(eyes), STATE, -1)[:, [0, 1, 3, 2]]
         ties = Ties(joined.positions, measured, shared_errors.reshape(4 * len(eyes), -1))
     located = [
@@ -254,13 +259,11 @@ def _parallax_rad(before: Located, after: Located) -> float:
     azimuth = np.linspace(-np.pi, np.pi, 360, endpoint=False)
     changes = []
     for old, new in zip(before.panoramas, after.panoramas, strict=True):
-        assert new.made_with is not None
-        offset_m = np.hypot(*new.made_with[[NAMES.index('center_x'), NAMES.index('center_y')]])
         near = [
             1.0 / located.room.raycast(p.center_map[:2], azimuth + p.heading_rad)[0]
             for located, p in ((before, old), (after, new))
         ]
-        changes.append(offset_m * np.mean(np.abs(near[1] - near[0])))
+        changes.append(_off_axis_m(new) * np.mean(np.abs(near[1] - near[0])))
     return float(max(changes))
 
 
@@ -298,27 +301,53 @@ def learn_located(
         located.panoramas, located.room, config, log, located.places, located.ties
     )
     # The pan zero turns the ways between sweeps against the base; camera and map share its error.
-    panoramas = []
+    # The principal point turns each panorama against the base.
+    first, panoramas = result.panoramas[0], []
     for p in result.panoramas:
         moved = np.zeros(4)
-        way = (p.center_map - result.panoramas[0].center_map)[:2]
+        way = (p.center_map - first.center_map)[:2]
         moved[:2] = located.heading_sigma_rad * rotation(np.pi / 2) @ way
-        panoramas.append(replace(p, covariance=p.covariance + np.outer(moved, moved)))
+        covariance = p.covariance + np.outer(moved, moved)
+        if p is not first and p.calibration and first.calibration:
+            turns = [known['principal_point'][1] for known in (p.calibration, first.calibration)]
+            covariance[3, 3] += float(np.sum(np.square(turns)))
+        panoramas.append(replace(p, covariance=covariance))
     result = replace(result, panoramas=tuple(panoramas))
     return replace(result, map=_turned(result.map, unmeasured.relative_pose.heading_sigma_rad))
 
 
-def _measured(pairs: RayPairs, sigma_rad: float) -> Iterator[list[PatchMeasurement]]:
+def _measured(
+    points: SeenPoints,
+    pairs: RayPairs,
+    sigma_rad: float,
+    room: Room,
+    eyes: FloatArray,
+    off_axis_m: Sequence[float],
+) -> Iterator[list[PatchMeasurement]]:
     """Measurements of each match in its two panoramas."""
-    sides = [
-        (view, np.arctan2(rays[:, 1], rays[:, 0]), rays[:, 2] / np.hypot(rays[:, 0], rays[:, 1]))
-        for view, rays in ((pairs.one, pairs.rays), (pairs.other, pairs.other_rays))
-    ]
+    sides = []
+    for view, rays in ((pairs.one, pairs.rays), (pairs.other, pairs.other_rays)):
+        x, y, tangent = (rays / np.hypot(rays[:, 0], rays[:, 1])[:, None]).T
+        # A camera off its axis shows what is nearer than the walls displaced, and matches were
+        # selected without that.
+        way = (points.positions - eyes[view])[:, :2]
+        wall, _ = room.raycast(eyes[view, :2], np.arctan2(way[:, 1], way[:, 0]))
+        displaced = off_axis_m[view] * (1.0 / np.hypot(way[:, 0], way[:, 1]) - 1.0 / wall)
+        sides.append((view, np.arctan2(y, x), tangent, np.hypot(sigma_rad, displaced)))
     for k in range(len(pairs.rays)):
         yield [
-            PatchMeasurement(view, float(azimuth[k]), float(tangent[k]), sigma_rad, sigma_rad, 1.0)
-            for view, azimuth, tangent in sides
+            PatchMeasurement(
+                view, float(azimuth[k]), float(tangent[k]), float(sigma[k]), float(sigma[k]), 1.0
+            )
+            for view, azimuth, tangent, sigma in sides
         ]
+
+
+def _off_axis_m(panorama: Panorama) -> float:
+    """Distance of the optical centre from the pan axis with which a panorama was made."""
+    if panorama.made_with is None:
+        return 0.0
+    return float(np.hypot(*panorama.made_with[[NAMES.index('center_x'), NAMES.index('center_y')]]))
 
 
 def _of_axis(chain: PlaceChain, lever: FloatArray) -> PlaceChain:

@@ -3,11 +3,13 @@
 from dataclasses import replace
 from itertools import combinations
 
+from builders import panorama_of
 import numpy as np
 import pytest
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
+from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.geometry.se2 import rot_z, rotation
 from landmark_nav.learning.relative_pose.epipolar import (
     center,
@@ -16,7 +18,7 @@ from landmark_nav.learning.relative_pose.epipolar import (
     RelativePoseConfig,
     STATE,
 )
-from landmark_nav.learning.relative_pose.features import Features
+from landmark_nav.learning.relative_pose.features import Features, find_features
 from landmark_nav.learning.relative_pose.pairs import Directions
 from landmark_nav.learning.relative_pose.placing import placed
 from landmark_nav.learning.relative_pose.poses import relative_poses
@@ -267,3 +269,26 @@ def test_misses_are_zero_for_true_poses_and_their_slopes_are_right():
 def test_where_nothing_moved_headings_are_certain(seed):
     result = found(POSES[:2], POSES[:2], seed)
     assert np.linalg.norm(result.shared_errors[2::STATE], axis=1).max() < CONFIG.heading_sigma_rad
+
+
+def test_features_are_where_they_are_seen():
+    """Blobs at known pixels of a panorama: their directions are not displaced."""
+    cylinder = Cylinder.with_resolution(300.0, -0.4, 0.4)
+    rng = np.random.default_rng(4)
+    row, column = np.mgrid[: cylinder.height, : cylinder.width].astype(np.float64)
+    grid = np.stack(np.meshgrid(np.arange(40.0, cylinder.width - 40.0, 60.0), [50.0, 110.0]), -1)
+    middles = grid.reshape(-1, 2) + rng.uniform(-0.5, 0.5, (grid.size // 2, 2))
+    image = np.full(row.shape, 120.0)
+    for (x, y), size in zip(middles, rng.uniform(2.0, 6.0, len(middles)), strict=True):
+        image += 80.0 * np.exp(-((column - x) ** 2 + (row - y) ** 2) / (2.0 * size**2))
+    grey = np.clip(image, 0, 255).astype(np.uint8)
+    found = find_features(panorama_of(np.dstack([grey] * 3), cylinder), 2000).rays
+    apart = np.linalg.norm(cylinder.rays(middles)[:, None] - found, axis=-1)
+    nearest = apart.argmin(axis=1)
+    seen = apart.min(axis=1) * 300.0 < 1.0
+    assert seen.mean() > 0.8
+    off = (found[nearest] - cylinder.rays(middles))[seen]
+    assert np.abs(np.mean(300.0 * off[:, 2])) < 0.05
+    turned = np.arctan2(found[nearest, 1], found[nearest, 0])
+    turned -= np.arctan2(cylinder.rays(middles)[:, 1], cylinder.rays(middles)[:, 0])
+    assert np.abs(np.mean(300.0 * wrap_rad(turned[seen]))) < 0.05

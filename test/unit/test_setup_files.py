@@ -107,7 +107,11 @@ def test_robot_as_written_and_defaults(tmp_path):
                 ('center: [1, 0, 1], size: 16', 'number: 2', r'markers\[0\]: 16 m is no size'),
                 ('center: [1, 0, 1], size: 0.1', 'number: x', r"markers\[1\]: number is 'x'"),
                 ('center: [1, 0, 1], size: 0.1', 'number: 1, center: [1, 0, 2]', 'there twice'),
-                ('center: [1, 0, 1], size: 0.1', 'number: 2, center: [1, 1, 1]', 'number 2. is 20 cm'),
+                (
+                    'center: [1, 0, 1], size: 0.1',
+                    'number: 2, center: [1, 1, 1]',
+                    'number 2. is 20 cm',
+                ),
             )
         ),
         (load_room, ROOM + '  marker_dictionary: DICT_9\n', 'dictionary .*DICT_9.*: take one'),
