@@ -68,8 +68,8 @@ def check_stamps(stream: Stream) -> list[Finding]:
         level: Level = 'warning' if n else 'error'
         text, values = f'{refused} of {n + refused} messages cannot be used', {'refused': refused}
         values['messages'] = n + refused
-        why = stream.why[:90]
-        found.append(Finding(f'{name} values', level, text, why, values, when_read=True))
+        kind = f'{name} values', level, text, stream.why, values
+        found.append(Finding(*kind, when_read=True))
     if n < 2:
         return [*found, Finding(f'{name} rate', 'warning', f'{n} messages', 'record more')]
     if zeros := stream.unstamped:

@@ -213,7 +213,8 @@ SOME = (
     *('images of two cameras', 'focal length x 0.02'),
     *('image stamps rounded down to 0.4 s', 'all clocks set by 54 years'),
     *('odom orientation all zero', 'images of two sizes', 'joint_states without joints'),
-    'images clock set back by 1 s',
+    *('images clock set back by 1 s', 'pan hangs', 'odom hangs'),
+    *('focal length steps by 20 %', 'one image in seven stamped before 1970'),
 )
 
 
