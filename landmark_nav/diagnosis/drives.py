@@ -132,7 +132,7 @@ class DriveChecks:
 
     def _pan(self) -> tuple[Stream | None, list[Finding]]:
         """Stream of the pan as it is read from the bag, and findings of the joints."""
-        names, name = ', '.join(self._joints)[:90], self._mount.pan_joint
+        names, name = ', '.join(self._joints), self._mount.pan_joint
         try:
             pan = pan_stream(self._bag, self._mount)
         except LandmarkNavError as error:
@@ -337,7 +337,7 @@ def _one_source(
 
 def _frames(odometry: Stream, images: Stream, mount: PanTiltMount) -> list[Finding]:
     """Check the frames of odometry and images."""
-    described = f'odom: {", ".join(odometry.frames)[:50]}; images: {", ".join(images.frames)[:40]}'
+    described = f'odom: {", ".join(odometry.frames)}; images: {", ".join(images.frames)}'
     children = {frame.partition(' -> ')[2].rpartition('/')[2] for frame in odometry.frames} - {''}
     bases = {mount.base_frame.rpartition('/')[2], 'base_footprint', 'base_link'}
     if len(odometry.frames) > 1:
