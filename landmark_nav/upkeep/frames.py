@@ -377,8 +377,8 @@ def _check_sweeps(a: LandmarkMap, b: LandmarkMap) -> None:
     common = {p.stamp_ns for p in a.panorama_poses} & {p.stamp_ns for p in b.panorama_poses}
     if common:
         raise LandmarkNavError(
-            f'both maps were learned from the sweep of {min(common) * 1e-9:.3f} s, so their '
-            'errors are not independent: learn one map of all sweeps instead'
+            f'both maps have a sweep of {min(common) * 1e-9:.3f} s: if it is one sweep, its '
+            'errors are in both: learn one map of all sweeps; else record them by one clock'
         )
 
 
