@@ -377,8 +377,8 @@ def _check_sweeps(a: LandmarkMap, b: LandmarkMap) -> None:
     common = {p.stamp_ns for p in a.panorama_poses} & {p.stamp_ns for p in b.panorama_poses}
     if common:
         raise LandmarkNavError(
-            f'both maps have a sweep of {min(common) * 1e-9:.3f} s: if it is the same, their errors '
-            'are not independent: learn one map of all sweeps; else record all by one clock'
+            f'both maps have a sweep of {min(common) * 1e-9:.3f} s: if it is the same, their '
+            'errors are not independent: learn one map of all sweeps; else record all by one clock'
         )
 
 
