@@ -41,10 +41,12 @@ class UsageError(LandmarkNavError):
 
 @contextmanager
 def inside(where: object) -> Iterator[None]:
-    """Prefix errors in the block with their place: a file, a field, a bag."""
+    """Prefix errors in the block with their place: a file, a field, a bag; once."""
     try:
         yield
     except LandmarkNavError as error:
+        if str(error).startswith(f'{where}: '):
+            raise
         raise LandmarkNavError(f'{where}: {error}') from error
 
 

@@ -42,6 +42,7 @@ _TRACKED = 30
 _LEAST_FOV_DEG, _MOST_FOV_DEG = 8.0, 200.0
 # Greatest relative difference of fx and fy, and of focal lengths in one recording.
 _SQUARE = 0.05
+ZOOM = 'camera zoom'
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,7 +248,7 @@ def _zoom(zoom: float) -> Iterable[Finding]:
     if zoom > 1.0 + _SQUARE:
         text = f'the focal length in camera_info changes by {100.0 * (zoom - 1.0):.0f} %'
         advice = 'publish one calibration if the lens neither zooms nor focuses'
-        yield Finding('camera zoom', 'warning', text, advice, {'zoom': zoom})
+        yield Finding(ZOOM, 'warning', text, advice, {'zoom': zoom})
 
 
 def _lens(camera: CameraModel | None) -> Iterable[Finding]:
