@@ -102,11 +102,15 @@ def _without_folder(text: str) -> str:
 
 
 def _without_clause(text: str) -> str:
-    """Text without the clause before the last one, which may end a list; the first one stays."""
+    """Text without the shorter of its last two clauses, as the last may end a sentence."""
     kept = text.replace(', …', '')
     masked = _INSIDE.sub(lambda found: '_' * len(found[0]), kept)
     ends = [found.start() for found in re.finditer('[,;] ', masked)]
-    return f'{kept[: ends[-2]]}, …{kept[ends[-1] :]}' if len(ends) > 1 else text
+    if len(ends) < 2:
+        return text
+    last = kept[ends[-1] :]
+    is_short = len(last) < ends[-1] - ends[-2]
+    return f'{kept[: ends[-1]]}, …' if is_short else f'{kept[: ends[-2]]}, …{last}'
 
 
 def _without_parenthesis(text: str) -> str:
@@ -120,9 +124,12 @@ _WHOLE = _without_clause, _without_parenthesis
 
 def _without_word(text: str) -> str:
     """Text without the word in the middle."""
-    words = [word for word in text.split(' ') if word != '…']
-    middle = len(words) // 2
-    return ' '.join([*words[:middle], '…', *words[middle + 1 :]]) if len(words) > 2 else text
+    words = text.split(' ')
+    left = [k for k, word in enumerate(words) if word != '…']
+    if len(left) < 3:
+        return text
+    words[left[len(left) // 2]] = '…'
+    return re.sub('…( …)+', '…', ' '.join(words))
 
 
 def _shorter(text: str) -> str:
