@@ -312,4 +312,6 @@ SHOWN_IN = {'m': (1e3, 'mm'), 'rad': (180.0 / np.pi, 'deg'), 's': (1e3, 'ms'), '
 def shown(value: float, sigma: float, unit: str) -> str:
     """Text of a difference with its sigma."""
     factor, name = SHOWN_IN[unit]
-    return f'{factor * value:+.2f} +- {factor * sigma:.2f} {name}'
+    # A digit of the sigma at least.
+    digits = max(2, -int(np.floor(np.log10(max(factor * sigma, 1e-6)))))
+    return f'{factor * value:+.{digits}f} +- {factor * sigma:.{digits}f} {name}'

@@ -5,12 +5,16 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.metadata import PackageNotFoundError, version
+import re
 import reprlib
 
-# Largest length of a line, and smallest lengths to which its values and paths are shortened.
-_LINE_LENGTH, _PART_LENGTH, _PATH_LENGTH = 200, 60, 24
+# Largest length of a line, and of a value in it.
+_LINE_LENGTH, _PART_LENGTH = 200, 60
 # Longer texts are cut off.
 _MAX_LENGTH = 10_000
+# Parentheses, which may hold others; with what divides them from the words before.
+_INSIDE = re.compile(r'\((?:[^()]|\([^()]*\))*\)')
+_PARENTHESIS = re.compile(f',? ?{_INSIDE.pattern}')
 
 _REPR = reprlib.Repr()
 _REPR.maxlevel, _REPR.maxlist, _REPR.maxtuple, _REPR.maxdict = 2, 6, 6, 3
@@ -37,10 +41,12 @@ class UsageError(LandmarkNavError):
 
 @contextmanager
 def inside(where: object) -> Iterator[None]:
-    """Prefix errors in the block with their place: a file, a field, a bag."""
+    """Prefix errors in the block with their place: a file, a field, a bag; once."""
     try:
         yield
     except LandmarkNavError as error:
+        if str(error).startswith(f'{where}: '):
+            raise
         raise LandmarkNavError(f'{where}: {error}') from error
 
 
@@ -63,15 +69,21 @@ def shown(value: object) -> str:
 
 
 def one_line(text: str) -> str:
-    """Text as one line of at most 200 printable characters."""
-    # Between colons, paths are shortened first, then values and lists, the longest first.
+    """Text as one line of at most 200 printable characters; whole parts are left out of others."""
+    # Between colons: first folders, then clauses and parentheses, of the end, the remedy, later.
     parts = _printable(text).split(': ')
-    for least in (_PATH_LENGTH, _PART_LENGTH):
-        for k in sorted(range(len(parts)), key=lambda i: -len(parts[i])):
-            excess = len(': '.join(parts)) - _LINE_LENGTH
-            is_path = '/' in parts[k] and ' ' not in parts[k]
-            if excess > 0 and (is_path or least == _PART_LENGTH):
-                parts[k] = _shortened(parts[k], max(least, len(parts[k]) - excess))
+    everywhere = range(len(parts))
+    details, end = everywhere[:-1], everywhere[-1:]
+    steps = [((_without_folder,), details), (_WHOLE, details), (_WHOLE, end)]
+    for makers, chosen in [*steps, ((_without_word,), everywhere), ((_shorter,), everywhere)]:
+        while (excess := len(': '.join(parts)) - _LINE_LENGTH) > 0:
+            made = [(k, make(parts[k])) for k in chosen for make in makers]
+            less = [(len(parts[k]) - len(part), k, part) for k, part in made if part != parts[k]]
+            if not less:
+                break
+            # The least that is enough, or else the most.
+            enough = [one for one in less if one[0] >= excess]
+            _, k, parts[k] = min(enough) if enough else max(less)
     line = ': '.join(parts)
     return line if len(line) <= _LINE_LENGTH else line[: _LINE_LENGTH - 1] + '…'
 
@@ -81,6 +93,47 @@ def _printable(text: str) -> str:
         return text
     escaped = (c if c.isprintable() else ascii(c)[1:-1] for c in text[:_MAX_LENGTH])
     return ''.join(escaped)
+
+
+def _without_folder(text: str) -> str:
+    """Path without its first folder; other text as it is."""
+    is_path = '/' in text.removeprefix('…/') and ' ' not in text
+    return f'…/{text.removeprefix("…/").lstrip("/").partition("/")[2]}' if is_path else text
+
+
+def _without_clause(text: str) -> str:
+    """Text without the shorter of its last two clauses, as the last may end a sentence."""
+    kept = text.replace(', …', '')
+    masked = _INSIDE.sub(lambda found: '_' * len(found[0]), kept)
+    ends = [found.start() for found in re.finditer('[,;] ', masked)]
+    if len(ends) < 2:
+        return text
+    last = kept[ends[-1] :]
+    is_short = len(last) < ends[-1] - ends[-2]
+    return f'{kept[: ends[-1]]}, …' if is_short else f'{kept[: ends[-2]]}, …{last}'
+
+
+def _without_parenthesis(text: str) -> str:
+    """Text without its longest parenthesis."""
+    longest = max(_PARENTHESIS.findall(text), key=len, default='')
+    return text.replace(longest, '', 1) if longest else text
+
+
+_WHOLE = _without_clause, _without_parenthesis
+
+
+def _without_word(text: str) -> str:
+    """Text without the word in the middle."""
+    words = text.split(' ')
+    left = [k for k, word in enumerate(words) if word != '…']
+    if len(left) < 3:
+        return text
+    words[left[len(left) // 2]] = '…'
+    return re.sub('…( …)+', '…', ' '.join(words))
+
+
+def _shorter(text: str) -> str:
+    return _shortened(text, max(len(text) - 1, 1))
 
 
 def _shortened(text: str, length: int) -> str:

@@ -20,7 +20,7 @@ from landmark_nav.upkeep.comparison import (
     Texture,
     wall_changes,
 )
-from landmark_nav.upkeep.frames import brought_together, merge_maps
+from landmark_nav.upkeep.frames import in_one_frame, merge_maps
 
 # Least disagreement of a landmark that is listed.
 _LISTED_SIGMAS = 3.0
@@ -88,7 +88,7 @@ def _check(args: argparse.Namespace) -> int:
 
 def _diff(args: argparse.Namespace) -> int:
     a, b = load_map(args.a), load_map(args.b)
-    b, alignment = brought_together(a, b)
+    b, alignment = in_one_frame(a, b)
     if alignment is not None:
         x, y, heading = alignment.pose
         sigma_x, sigma_y, *_, sigma = np.sqrt(np.diag(alignment.covariance))

@@ -6,13 +6,16 @@ import argparse
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 import shlex
 from typing import Any
 
 import numpy as np
 
+from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.cli.options import add, evaluate_line, progress, within
-from landmark_nav.errors import UsageError
+from landmark_nav.errors import LandmarkNavError, UsageError
+from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages.factory import rosbag_factory
 from landmark_nav.simulation import furnishing, setup_documents
 from landmark_nav.simulation.drive_path import plan_tour
@@ -29,7 +32,8 @@ from landmark_nav.simulation.world import (
 )
 from landmark_nav.storage.atomic_io import atomic_folder
 from landmark_nav.storage.bags import BagWriter
-from landmark_nav.storage.setup_files import load_camera, load_robot, load_room
+from landmark_nav.storage.robot_files import load_calibration
+from landmark_nav.storage.setup_files import load_camera, load_room
 
 _FILES = ('start.json', 'room.yaml', 'robot.yaml', 'scene.json', 'learn', 'drive')
 
@@ -80,7 +84,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(args: argparse.Namespace) -> int:
     """Simulate; write all files or none."""
     room = load_room(args.room) if args.room else None
-    mount = load_robot(args.robot) if args.robot else DEFAULT_MOUNT
+    mount = _mount(args.robot) if args.robot else DEFAULT_MOUNT
     camera = load_camera(args.camera) if args.camera else DEFAULT_CAMERA
     scene = furnishing.generate_scene(args.seed, room)
     rng = np.random.default_rng([args.seed, 30])
@@ -133,6 +137,16 @@ def run(args: argparse.Namespace) -> int:
         print(shlex.join(['landmark-nav', *map(str, words)]))
         print(evaluate_line(drive, learned, robot, start))
     return 0
+
+
+def _mount(path: Path) -> PanTiltMount:
+    """Mount of a robot.yaml; `LandmarkNavError` if this gives more than is simulated."""
+    known = load_calibration(path)
+    given = known.values != Calibration.of_mount(known.mount).values
+    if given.any():
+        names = ', '.join(np.array(NAMES)[given])
+        raise LandmarkNavError(f'{path}: not simulated: {names}: leave them out, or set them to 0')
+    return known.mount
 
 
 def _camera_rate(text: str) -> float:

@@ -24,6 +24,8 @@ _FAR, _NEAR = 1.0 / 40.0, 3.0
 _OF_ROOM = 2.2
 # Heading errors of the camera that are a warning and an error.
 _HEADING_WARN_RAD, HEADING_ERROR_RAD = np.radians(8.0), np.radians(20.0)
+# Greatest turn between two images of a stream that stays where it is.
+_STAYS_RAD = 0.01
 # Offset beyond which one clock is wall time and the other simulated time.
 _WALL_TIME_S = 1e6
 
@@ -78,7 +80,13 @@ def cause_findings(judged: Verdict) -> list[Finding]:
     if cause.kind == 'none':
         if judged.fits:
             return []
-        noise_rad = cause.left.noise_rad
+        motion, noise_rad = cause.motion, cause.left.noise_rad
+        for stream, what in ((JOINTS, 'the pan'), (ODOMETRY, 'its pose')):
+            given = stream == JOINTS or motion.odometry is not None
+            if given and np.abs(motion.turned(stream)).max(initial=0.0) < _STAYS_RAD:
+                text = f'{what} does not move while the images turn'
+                advice = 'see whether its driver hangs; if it does stand, look at the others'
+                return [Finding(f'{stream} values', 'error', text, advice)]
         text = 'no single fault explains how the images turn '
         text += f'({np.degrees(noise_rad):.1f} deg are left)'
         advice = 'undecided: look at joint_states, odom and images; more than one may be off'

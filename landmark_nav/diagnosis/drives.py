@@ -132,7 +132,7 @@ class DriveChecks:
 
     def _pan(self) -> tuple[Stream | None, list[Finding]]:
         """Stream of the pan as it is read from the bag, and findings of the joints."""
-        names, name = ', '.join(self._joints)[:90], self._mount.pan_joint
+        names, name = ', '.join(self._joints), self._mount.pan_joint
         try:
             pan = pan_stream(self._bag, self._mount)
         except LandmarkNavError as error:
@@ -172,17 +172,17 @@ class DriveChecks:
         if (repeated := parts.repeated_images(motion)) is not None:
             return [*found, repeated], Delays(), False
         # A pan that stops for each image repeats its values, too, but explains the images.
-        for part in () if linear(motion).quiet else (parts.held_values, parts.limited_values):
+        for part in () if linear(motion).quiet else (parts.repeated_values, parts.limited_values):
             if (odd := part(motion)) is not None:
                 found.append(odd[0])
                 motion = odd[1]
         if len(motion) < _LEAST_PAIRS:
             return found, Delays(), False
-        if (staying := parts.staying_values(motion)) is not None:
-            stays, motion = staying
-            if stays.name.startswith(ODOMETRY):
+        if (frozen := parts.frozen_values(motion)) is not None:
+            finding, motion = frozen
+            if finding.name.startswith(ODOMETRY):
                 found = _without(found, _OF_POSE)
-            found.append(stays)
+            found.append(finding)
         slopes = linear(motion)
         path = check_path(streams[1]) if len(streams) > 1 else None
         if path is not None:
@@ -200,7 +200,7 @@ class DriveChecks:
             found += _clocks_by_log(motion, hints, slopes)
             if path is not None:
                 found = _without(found, _OF_PATH)
-            elif looks.view is not None and staying is None:
+            elif looks.view is not None and frozen is None:
                 clear = [comparable(looks.strips[k], looks.strips[n]) for k, n in chosen.tolist()]
                 clearly = pairs.only(np.array(clear, np.bool_))
                 strange = parts.strange_images(clearly, looks.view.width_rad)
@@ -337,7 +337,7 @@ def _one_source(
 
 def _frames(odometry: Stream, images: Stream, mount: PanTiltMount) -> list[Finding]:
     """Check the frames of odometry and images."""
-    described = f'odom: {", ".join(odometry.frames)[:50]}; images: {", ".join(images.frames)[:40]}'
+    described = f'odom: {", ".join(odometry.frames)}; images: {", ".join(images.frames)}'
     children = {frame.partition(' -> ')[2].rpartition('/')[2] for frame in odometry.frames} - {''}
     bases = {mount.base_frame.rpartition('/')[2], 'base_footprint', 'base_link'}
     if len(odometry.frames) > 1:

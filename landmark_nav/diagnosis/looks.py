@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
 
 import cv2
 import numpy as np
@@ -25,7 +27,8 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.matching.strips import Strip, StripView, without_cover
 from landmark_nav.messages import decode
-from landmark_nav.storage.bags import Bag
+from landmark_nav.storage.bags import Bag, BagMessage
+from landmark_nav.storage.bags.reader import MessageFilter
 from landmark_nav.storage.bags.timelines import CameraInfos, JointHistory
 from landmark_nav.types import JointSample
 
@@ -37,8 +40,9 @@ _SMALL, _WIDTH = (16, 12), 256
 _TRACKED = 30
 # Bounds of the horizontal field of view; outside them the lens is wrong or not supported.
 _LEAST_FOV_DEG, _MOST_FOV_DEG = 8.0, 200.0
-# Greatest relative difference of fx and fy.
+# Greatest relative difference of fx and fy, and of focal lengths in one recording.
 _SQUARE = 0.05
+ZOOM = 'camera zoom'
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,7 +53,8 @@ class Looks:
     `pairs` (n, 2) are consecutive images that were both decoded. `small` are images in grey, 12 x
     16 pixels; `sharpness` is the contrast of fine details over that of coarse ones, about 0.5 in
     focus; `points` are pixels (m, 2) in an image and in the next one. `findings` are those of
-    encoding, size and lens; `view` is None if no image could be used.
+    encoding, size and lens; `view` is None if no image could be used. Images of other intrinsics
+    than those of the first, `camera`, are resampled to these.
     """
 
     stream: Stream
@@ -84,6 +89,7 @@ def look(
     replaces these and what is known of the robot, and then no points are tracked.
     """
     chosen = _chosen(bag.counts[topic], most_images)
+    stamped = MessageFilter(bag, topic)
     rows: list[Row] = []
     failed: list[str] = []
     kinds: dict[str, None] = {}
@@ -92,6 +98,7 @@ def look(
     sharpness: dict[int, float] = {}
     view: StripView | None = None
     camera: CameraModel | None = None
+    lenses: list[CameraModel] = []
     cameras, refused = None, []
     try:
         cameras = CameraInfos.read(bag, *infos)
@@ -103,13 +110,17 @@ def look(
     tracked = set(firsts[:: max(1, -(-len(firsts) // _TRACKED))])
     points: dict[int, tuple[FloatArray, FloatArray]] = {}
     before: Corners | None = None
-    for index, entry in enumerate(bag.messages([topic])):
-        stamp, frame = decode.stamp_ns(entry.message.header), str(entry.message.header.frame_id)
-        rows.append(Row(stamp, entry.stamp_ns, frame, np.empty(0), entry.header_ns == 0))
+    for entry in bag.messages([topic]):
+        index, row = len(rows), stamped.take(_row, entry)
+        if row is None:
+            continue
+        rows.append(row)
         if index not in chosen or cameras is None:
             continue
         try:
-            image, seen_by = decode.camera_image(entry.message, cameras.at(stamp), True)
+            image, seen_by = decode.camera_image(entry.message, cameras.at(row.stamp_ns), True)
+            lenses.append(seen_by)
+            image = _resampled(image, seen_by, lenses[0])
             if view is None:
                 of_robot = known.camera(seen_by), known.mount, known['camera_tilt'][0]
                 used = setup or CameraSetup(*of_robot)
@@ -132,9 +143,37 @@ def look(
             failed.append(str(error).removeprefix(f'{bag.path}: '))
     strips = dict(zip(strips, without_cover(list(strips.values())), strict=True))
     pairs = np.array([(k, k + 1) for k in strips if k + 1 in strips], np.intp).reshape(-1, 2)
-    findings = (*refused, *_encoding(failed, kinds, len(chosen)), *_lens(camera))
-    stream = stream_of(bag, 'images', topic, rows)
+    # In image widths: a driver may change the size.
+    focal = [lens.fx / lens.width for lens in lenses] or [1.0]
+    of_lens = *_lens(camera), *_zoom(max(focal) / min(focal))
+    findings = (*refused, *_encoding(failed, kinds, len(chosen)), *of_lens)
+    stream = stream_of(bag, 'images', topic, rows, stamped.complaints)
     return Looks(stream, pairs, findings, strips, small, sharpness, view, camera, points)
+
+
+def _row(entry: BagMessage) -> Row:
+    """Stamps and frame of an image; `LandmarkNavError` if it has no valid stamp."""
+    header = entry.message.header
+    stamp, unstamped = decode.stamp_ns(header), entry.header_ns == 0
+    return Row(stamp, entry.stamp_ns, str(header.frame_id), np.empty(0), unstamped)
+
+
+def _resampled(image: ImageArray, seen_by: CameraModel, camera: CameraModel) -> ImageArray:
+    """Image of one camera in the pixels of another; its border is continued."""
+    if seen_by == camera:
+        return image
+    along, down = _pixel_maps(seen_by, camera)
+    border = cv2.BORDER_REPLICATE
+    return np.asarray(cv2.remap(image, along, down, cv2.INTER_LINEAR, borderMode=border), np.uint8)
+
+
+@lru_cache(maxsize=4)
+def _pixel_maps(seen_by: CameraModel, camera: CameraModel) -> tuple[Any, Any]:
+    """Pixels of `seen_by`, columns and rows, that see what each pixel of `camera` does."""
+    grid = np.meshgrid(np.arange(float(camera.width)), np.arange(float(camera.height)))
+    pixels = seen_by.project(camera.unproject(np.stack(grid, -1)))
+    along, down = np.nan_to_num(pixels, nan=-1.0).astype(np.float32).transpose(2, 0, 1)
+    return np.ascontiguousarray(along), np.ascontiguousarray(down)
 
 
 def _reduced(image: ImageArray, size: tuple[int, int]) -> ImageArray:
@@ -198,11 +237,18 @@ def _encoding(failed: list[str], kinds: Collection[str], tried: int) -> Iterable
         level: Level = 'error' if len(failed) == tried else 'warning'
         text = f'{len(failed)} of {tried} cannot be used'
         values = {'failed': len(failed), 'tried': tried}
-        yield Finding('images encoding', level, text, failed[0][:110], values, when_read=True)
+        yield Finding('images encoding', level, text, failed[0], values, when_read=True)
     elif named:
         several = len(kinds) > 1
         advice = 'one camera must publish images of one size and encoding' if several else ''
         yield Finding('images encoding', 'warning' if several else 'ok', named, advice)
+
+
+def _zoom(zoom: float) -> Iterable[Finding]:
+    if zoom > 1.0 + _SQUARE:
+        text = f'the focal length in camera_info changes by {100.0 * (zoom - 1.0):.0f} %'
+        advice = 'publish one calibration if the lens neither zooms nor focuses'
+        yield Finding(ZOOM, 'warning', text, advice, {'zoom': zoom})
 
 
 def _lens(camera: CameraModel | None) -> Iterable[Finding]:

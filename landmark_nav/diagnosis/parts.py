@@ -29,11 +29,11 @@ _BLURRED = 0.03
 # brightness between images that flicker, as a logarithm (a factor of 1.2).
 _STAYS_GREY, _CHANGES_GREY, _FLICKERS = 3.0, 10.0, 0.2
 COVERED = 'images cover'
-# Least share that is reported.
-_SOME = 0.1
+# Least share that is reported, and that of blank images which is an error.
+_SOME, _MOST_BLANK = 0.1, 0.9
 # A camera repeats one image if, in this share of the pairs, images turn by less than the first
 # while the pan turns by more than the second; a single repeated image does not turn at all.
-_STILL_RAD, _TURNING_RAD, _MOST = 1e-3, 0.03, 0.9
+_STILL_RAD, _TURNING_RAD, _MOST_STILL = 1e-3, 0.03, 0.9
 _SAME_RAD = 1e-7
 _LEAST_PAIRS = 12
 # Share of the time between two images in which a value is constant; least number of such pairs.
@@ -42,8 +42,11 @@ _ALL, _STAYS_PAIRS = 0.99, 6
 _WORKS_RAD = 0.01
 # Least residuals that are not noise.
 _OFF_RAD, _OFF_SIGMAS = 0.02, 6.0
-# Least repetitions of each value; times of a constant value that are too long for localization.
-_HELD, _HELD_S = 2.5, 0.1
+# Least repetitions of each value, share of the values that are repeated so often, and times of a
+# constant value that are too long for localization.
+_HELD, _MOST_EVEN, _HELD_S = 2.5, 0.9, 0.1
+# Least share of unexplained turns that are at an end of the pan.
+_MOST_LIMITED = 0.9
 # Least jump; relative tolerance of the residual of the images that it causes.
 _JUMP_RAD, _SAME_JUMP = 0.1, 0.25
 # Tolerance of multiples of a step, as a share of it.
@@ -70,7 +73,7 @@ def _blank_images(looks: Looks) -> Finding | None:
     text = f'{sum(blank)} of {len(blank)} show next to nothing: dark, white or covered'
     advice = 'look at exposure, lens cap and light; localization goes by odometry there'
     values = {'blank': int(sum(blank)), 'tried': len(blank)}
-    level: Level = 'error' if share > _MOST else 'warning'
+    level: Level = 'error' if share > _MOST_BLANK else 'warning'
     return Finding('images content', level, text, advice, values)
 
 
@@ -127,7 +130,7 @@ def repeated_images(motion: Motion) -> Finding | None:
     still = turning & (turns < _SAME_RAD)
     if turning.sum() < _LEAST_PAIRS:
         return None
-    if np.mean(turns < _STILL_RAD) > _MOST:
+    if np.mean(turns < _STILL_RAD) > _MOST_STILL:
         text = 'images stay the same while joint_states turn'
         advice = 'the camera repeats an image, or the pan does not move: look at both drivers'
     elif still.sum() >= _SOME * turning.sum():
@@ -180,7 +183,7 @@ def strange_images(motion: Motion, width_rad: float) -> Finding | None:
     return Finding('images content', 'warning', text, advice, values)
 
 
-def staying_values(motion: Motion) -> tuple[Finding, Motion] | None:
+def frozen_values(motion: Motion) -> tuple[Finding, Motion] | None:
     """Find a stream that is constant at times while images turn; return the motion without."""
     left, sideways = motion.unexplained(), motion.parallax()
     for stream, what in ((JOINTS, 'the pan'), (ODOMETRY, 'its pose')):
@@ -211,7 +214,7 @@ def limited_values(motion: Motion) -> tuple[Finding, Motion] | None:
     ends = motion.pan.at(motion.pan_clock.at(np.stack([motion.before_s, motion.after_s])))[..., 0]
     at = ((ends == low) | (ends == high)).any(0) & (_unchanged(motion, JOINTS) > 0.0)
     off = np.abs(left) > _JUMP_RAD
-    if high - low < _JUMP_RAD or (at & off).sum() < max(_STAYS_PAIRS, _MOST * off.sum()):
+    if high - low < _JUMP_RAD or (at & off).sum() < max(_STAYS_PAIRS, _MOST_LIMITED * off.sum()):
         return None
     if fit(left[at], others[at]).quiet:
         return None  # explained by a wrong scale of the yaw
@@ -221,7 +224,7 @@ def limited_values(motion: Motion) -> tuple[Finding, Motion] | None:
     return Finding('pan limit', 'error', text, advice, values), motion.only(~at)
 
 
-def held_values(motion: Motion) -> tuple[Finding, Motion] | None:
+def repeated_values(motion: Motion) -> tuple[Finding, Motion] | None:
     """Find a stream that repeats each value; return the motion without the repetitions."""
     for stream in (JOINTS, ODOMETRY):
         track, _ = motion.stream(stream)
@@ -237,7 +240,8 @@ def held_values(motion: Motion) -> tuple[Finding, Motion] | None:
             continue
         period, held_s = float(np.median(np.diff(track.seconds))), np.diff(times)[at]
         usual = float(np.median(held_s))
-        if usual < _HELD * period or np.mean(np.abs(held_s - usual) < 1.5 * period) < _MOST:
+        even = np.mean(np.abs(held_s - usual) < 1.5 * period) >= _MOST_EVEN
+        if usual < _HELD * period or not even:
             continue
         text = f'values change {1.0 / usual:.1f} times a second, messages come '
         text += f'{1.0 / period:.0f} times: each is repeated'

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from landmark_nav.arrays import FloatArray, IndexArray
+from landmark_nav.diagnosis.advice import seconds_text
 from landmark_nav.diagnosis.findings import Finding, Level
 from landmark_nav.diagnosis.motion import Clock
 from landmark_nav.diagnosis.streams import Stream
@@ -37,7 +38,7 @@ _OUT_OF_STEP_S = 0.5
 # Least share of the messages within that residual, for a steady clock.
 _STEADY = 0.8
 # Least jitter of stamps that is reported: 10 mrad while the camera turns at 1 rad/s.
-_SHAKEN_S = 0.01
+_JITTER_S = 0.01
 # Least significance of a drift, and least number of messages.
 _DRIFT_SIGMAS, _LEAST_MESSAGES = 5.0, 8
 # Sigmas that contain 90 % of a normal distribution.
@@ -68,8 +69,8 @@ def check_stamps(stream: Stream) -> list[Finding]:
         level: Level = 'warning' if n else 'error'
         text, values = f'{refused} of {n + refused} messages cannot be used', {'refused': refused}
         values['messages'] = n + refused
-        why = stream.why[:90]
-        found.append(Finding(f'{name} values', level, text, why, values, when_read=True))
+        kind = f'{name} values', level, text, stream.why, values
+        found.append(Finding(*kind, when_read=True))
     if n < 2:
         return [*found, Finding(f'{name} rate', 'warning', f'{n} messages', 'record more')]
     if zeros := stream.unstamped:
@@ -106,13 +107,13 @@ def _jitter(stream: Stream, what: str) -> list[Finding]:
     steps = np.diff([stream.seconds - stream.logged, stream.logged])
     away = np.abs(steps - np.median(steps, axis=1, keepdims=True))
     # The quantile ignores a step of the clock, but not errors of one message in five.
-    shaken, uneven = (np.quantile(away, 0.9, axis=1) / _NORMAL_90).tolist()
-    if shaken < _SHAKEN_S or uneven > 0.5 * shaken:
+    jitter_s, arrival_s = (np.quantile(away, 0.9, axis=1) / _NORMAL_90).tolist()
+    if jitter_s < _JITTER_S or arrival_s > 0.5 * jitter_s:
         return []
-    text = f'stamps are shaken by {1e3 * shaken:.0f} ms, messages arrive within '
-    text += f'{1e3 * uneven:.0f} ms'
+    text = f'stamps jitter by {seconds_text(jitter_s)}, messages arrive within '
+    text += seconds_text(arrival_s)
     advice = f'{what} must stamp {stream.name} at the time of measurement'
-    values = {'stamps_s': shaken, 'arrival_s': uneven}
+    values = {'stamps_s': jitter_s, 'arrival_s': arrival_s}
     return [Finding(f'{stream.name} jitter', 'warning', text, advice, values)]
 
 
@@ -146,7 +147,7 @@ def _order(stream: Stream, steps: FloatArray) -> list[Finding]:
 
 
 def by_arrival(stream: Stream) -> Stream:
-    """Replace rounded or shaken stamps by the times of recording with the clock of the stamps."""
+    """Replace stamps that are rounded or jitter by times of recording with their clock."""
     if len(stream) < _LEAST_MESSAGES or not (stream.stamps_ns.any() and np.ptp(stream.logged)):
         return stream
     same = np.mean(np.diff(stream.stamps_ns) == 0)

@@ -14,7 +14,8 @@ from landmark_nav.arrays import FloatArray, IntArray
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages import decode
-from landmark_nav.storage.bags import Bag
+from landmark_nav.storage.bags import Bag, BagMessage
+from landmark_nav.storage.bags.reader import MessageFilter
 from landmark_nav.storage.bags.timelines import logged_joints
 
 # Function from a message to its values (k,).
@@ -84,21 +85,20 @@ class Row(NamedTuple):
 
 def _rows(bag: Bag, topic: str, values: Values) -> tuple[list[Row], list[str]]:
     """Read the messages of a topic; return the usable ones, and why others are refused."""
-    rows, refused = [], []
-    for entry in bag.messages([topic]):
+    messages = MessageFilter(bag, topic)
+
+    def row(entry: BagMessage) -> Row:
+        message = entry.message
+        child = getattr(message, 'child_frame_id', '')
+        frame = f'{message.header.frame_id}{" -> " if child else ""}{child}'
         try:
-            message = entry.message
-            child = getattr(message, 'child_frame_id', '')
-            frame = f'{message.header.frame_id}{" -> " if child else ""}{child}'
             stamp, measured = decode.stamp_ns(message.header), values(message)
-        except (AttributeError, TypeError, ValueError, IndexError, LandmarkNavError) as error:
-            text = str(error)
-            if not isinstance(error, LandmarkNavError):
-                text = f'{entry.topic}: not as its type should be: {error}'
-            refused.append(text)
-            continue
-        rows.append(Row(stamp, entry.stamp_ns, frame, measured, entry.header_ns == 0))
-    return rows, refused
+        except (TypeError, ValueError, IndexError) as error:
+            raise LandmarkNavError(f'not as its type should be: {error}') from error
+        return Row(stamp, entry.stamp_ns, frame, measured, entry.header_ns == 0)
+
+    rows = [messages.take(row, entry) for entry in bag.messages([topic])]
+    return [row for row in rows if row is not None], messages.complaints
 
 
 def stream_of(
@@ -109,7 +109,8 @@ def stream_of(
     stamps, logged = np.array([row[:2] for row in rows], dtype=np.int64).reshape(-1, 2).T
     values = np.array([row.values for row in rows], dtype=np.float64).reshape(len(rows), width)
     frames = tuple(dict.fromkeys(row.frame for row in rows))
-    why, unstamped = refused[0] if refused else '', sum(row.unstamped for row in rows)
+    why = refused[0].removeprefix(f'{bag.path}: ') if refused else ''
+    unstamped = sum(row.unstamped for row in rows)
     rest = len(refused), why, bag.start_ns, unstamped
     return Stream(name, topic, stamps, logged, values, frames, *rest)
 

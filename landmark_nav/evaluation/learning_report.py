@@ -41,9 +41,14 @@ def learning_report(
 
     `measured` are panoramas before the adjustment, with poses by the papers alone, or by
     ``sweep/pose``; `frames` are the numbers of frames of the sweeps. What is `known` of the mount
-    gives the pose of the base.
+    gives the pose of the base. For a map with its own frame, the truth is in the frame of the
+    first sweep; covariances do not contain the error of the scale, so NEES is that after scaling.
     """
     own_frame = result.map.has_own_frame
+    scales = [
+        _scale(group, truth, known) if own_frame else 1.0 for group in (result.panoramas, measured)
+    ]
+    after, before_it = (truth.seen_from(np.zeros(3), scale) for scale in scales)
     outcomes = [outcome for group in result.outcomes for outcome in group]
     refused = Counter(o.reason for o in outcomes if isinstance(o, Refusal))
     walls = Counter(landmark.wall_id or NO_WALL for landmark in result.map.landmarks)
@@ -53,8 +58,8 @@ def learning_report(
             {
                 'stamp_ns': panorama.stamp_ns,
                 'frames': count,
-                **_place(panorama, truth, known, own_frame),
-                'measured': _place(before, truth, known, own_frame),
+                **_place(panorama, truth, after, known, own_frame),
+                'measured': _place(before, truth, before_it, known, own_frame),
                 'panorama': quality_report(panorama.quality or PanoramaQuality()),
                 'candidates': len(group),
                 'elected': sum(isinstance(outcome, Landmark) for outcome in group),
@@ -63,6 +68,7 @@ def learning_report(
                 result.panoramas, measured, frames, result.outcomes, strict=True
             )
         ],
+        **({'scale': scales[0]} if own_frame else {}),
         'candidates': len(outcomes),
         'ambiguous': dict(Counter(r.reason for g in result.ambiguous for r in g).most_common()),
         'reconstructed': result.reconstructed,
@@ -102,10 +108,18 @@ def quality_report(quality: PanoramaQuality) -> dict[str, Any]:
     return found
 
 
+def _scale(panoramas: Sequence[Panorama], truth: PoseTrack, known: Calibration) -> float:
+    """Lengths from the first sweep over true ones; 1 if these are not known."""
+    at = np.array([base_from_axis(p.axis, known.mount).pose[:2] for p in panoramas])
+    true = truth.at([p.stamp_ns for p in panoramas])[:, :2]
+    seen = np.isfinite(true).all(axis=1) & (np.hypot(*true.T) > 0.0)
+    return float((at[seen] * true[seen]).sum() / (true[seen] ** 2).sum()) if seen.any() else 1.0
+
+
 def _place(
-    panorama: Panorama, truth: PoseTrack, known: Calibration, own_frame: bool
+    panorama: Panorama, truth: PoseTrack, scaled: PoseTrack, known: Calibration, own_frame: bool
 ) -> dict[str, Any]:
-    """Pose of the base, x [m], y [m], heading [rad], and its errors."""
+    """Pose of the base, x [m], y [m], heading [rad], errors, and NEES by the `scaled` truth."""
     base = base_from_axis(panorama.axis, known.mount)
     by_mount = _by_mount(base.pose, panorama, known, own_frame)
     pose, covariance = base.pose, base.covariance + by_mount @ known.covariance @ by_mount.T
@@ -119,7 +133,8 @@ def _place(
         entry['error'] = error.tolist()
         entry['error_position_m'] = float(np.hypot(error[0], error[1]))
         entry['error_heading_deg'] = float(np.degrees(abs(error[2])))
-        entry['nees'] = float(error @ np.linalg.solve(covariance, error))
+        rest = pose_errors(pose[None], scaled.at([panorama.stamp_ns]))[0]
+        entry['nees'] = float(rest @ np.linalg.solve(covariance, rest))
     return entry
 
 

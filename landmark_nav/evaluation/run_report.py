@@ -132,12 +132,15 @@ def pose_report(
             'position_p95_m': float(np.percentile(sigma_m, 95)),
             'heading_median_deg': float(np.degrees(np.median(sigma[:, 2]))),
         },
-        'silently_wrong': metrics.undetected_failures(
-            errors.fused, run.fused_covariances, run.tracking
-        )
-        if len(run.truth)
-        else None,
+        'silently_wrong': _undetected(run, errors),
     }
+
+
+def _undetected(run: Replay, errors: RunErrors) -> int | None:
+    """Images that are off by over 5 sigma while the state is OK; None without ground truth."""
+    known = len(run.truth) > 0
+    off, covariances = errors.fused, run.fused_covariances
+    return metrics.undetected_failures(off, covariances, run.tracking) if known else None
 
 
 def integrity_report(run: Replay, errors: RunErrors) -> dict[str, Any] | None:
@@ -161,9 +164,7 @@ def integrity_report(run: Replay, errors: RunErrors) -> dict[str, Any] | None:
         'coverage_99': float(inside.mean()),
         'coverage_99_by_quarter': [float(part.mean()) for part in quarters if len(part)],
         'level_over_error_median': float(np.median(level[:, 0] / np.maximum(off[:, 0], 1e-9))),
-        'undetected_wrong': metrics.undetected_failures(
-            errors.fused, run.fused_covariances, run.tracking
-        ),
+        'undetected_wrong': _undetected(run, errors),
     }
 
 
@@ -402,7 +403,7 @@ def write_tum_files(run: Replay, folder: Path, smoothed: Smoothed | None = None)
             write_atomically(folder / f'{name}.tum', ''.join(lines))
 
 
-def driven(run: Replay, stamps_ns: npt.NDArray[np.int64], poses: FloatArray) -> FloatArray:
+def path_of(run: Replay, stamps_ns: npt.NDArray[np.int64], poses: FloatArray) -> FloatArray:
     """Line (2, n) through poses; between images that are far apart it follows odometry."""
     known = metrics.PoseTrack.of(zip(stamps_ns.tolist(), poses, strict=True))
     return np.asarray(run.odometry.carry(known).poses[:, :2].T)

@@ -27,7 +27,8 @@ import numpy as np
 from landmark_nav.arrays import Float32Array, FloatArray
 from landmark_nav.types import Refusal, RefusalCode
 
-Pair = tuple[float, float] | FloatArray
+# A value along the columns and one along the rows.
+PerAxis = tuple[float, float] | FloatArray
 
 # Blur of both images before alignment (Gaussian sigma, pixels). Bilinear interpolation of raw
 # pixels biases the shift towards whole pixels; with this blur the bias is below 0.01 px.
@@ -43,7 +44,7 @@ def for_matching(image: Float32Array) -> Float32Array:
     return np.asarray(cv2.GaussianBlur(image, (0, 0), MATCHED_PX), dtype=np.float32)
 
 
-def blur_to(image: Float32Array, step: Pair, own_step: Pair = (1.0, 1.0)) -> Float32Array:
+def blur_to(image: Float32Array, step: PerAxis, own_step: PerAxis = (1.0, 1.0)) -> Float32Array:
     """
     Blur an image with a resolution of `own_step` pixels to one of `step`, across and down.
 
@@ -52,7 +53,7 @@ def blur_to(image: Float32Array, step: Pair, own_step: Pair = (1.0, 1.0)) -> Flo
     return blur_by(image, blur_sigmas(step, own_step))
 
 
-def blur_by(image: Float32Array, sigmas: Pair) -> Float32Array:
+def blur_by(image: Float32Array, sigmas: PerAxis) -> Float32Array:
     """
     Blur an image by Gaussian sigmas across and down, pixels; not at all if both are 0.
 
@@ -67,7 +68,7 @@ def blur_by(image: Float32Array, sigmas: Pair) -> Float32Array:
     return np.asarray(np.sqrt(blurred), dtype=np.float32)
 
 
-def blur_sigmas(step: Pair, own_step: Pair = (1.0, 1.0)) -> tuple[float, float]:
+def blur_sigmas(step: PerAxis, own_step: PerAxis = (1.0, 1.0)) -> tuple[float, float]:
     """Sigmas of the blur of `blur_to`, pixels; both zero if they are negligible."""
     share = _PIXEL_SIGMA**2
     across = share * (float(step[0]) ** 2 - float(own_step[0]) ** 2)
@@ -130,7 +131,7 @@ def align(
     search: Float32Array,
     template: Float32Array,
     start: tuple[float, float],
-    search_blur: Pair,
+    search_blur: PerAxis,
     along_px: float = 0.0,
 ) -> Match | None:
     """
@@ -238,7 +239,7 @@ def _noise_passed(
     gradients: Float32Array,
     size: tuple[int, int],
     fraction: tuple[float, float],
-    search_blur: Pair,
+    search_blur: PerAxis,
 ) -> Float32Array:
     """``G B B^T G^T`` (2, 2) over the sum of the squares of B's kernel; gradients (2, pixels)."""
     width, height = size
@@ -309,7 +310,7 @@ def match_template(
     *,
     min_score: float = 0.7,
     max_second_ratio: float = 0.9,
-    search_blur: Pair = (0.0, 0.0),
+    search_blur: PerAxis = (0.0, 0.0),
     edge: bool = False,
 ) -> Match | Refusal:
     """

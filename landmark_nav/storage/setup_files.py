@@ -39,6 +39,8 @@ _MAX_WALL_M, _MAX_HEIGHT_M, _MAX_MOUNT_M = 1000.0, 50.0, 10.0
 _SHEET_M = 0.01, 5.0
 # Greatest sigma of a wall; a less certain one gives no information.
 _MAX_WALL_SIGMA_M = 1.0
+# Sigma of a wall that is given as exact.
+_EXACT_WALL_M = 1e-4
 
 # Greatest angle: half a turn, rounded up. Larger ones are given in degrees.
 _HALF_TURN_RAD = 3.15
@@ -118,15 +120,16 @@ def wall_of(entry: Any, where: str) -> Wall:
     if isinstance(entry, dict):
         reading.check_spelling(entry, ('id', 'start', 'end', 'height', 'sigma_m'), where)
         sigma = reading.number_field(entry, 'sigma_m', where) if 'sigma_m' in entry else None
-    if sigma is not None and not 0.0 < sigma <= _MAX_WALL_SIGMA_M:
-        how = f'take more than 0, up to {_MAX_WALL_SIGMA_M:g} m'
+    if sigma is not None and not 0.0 <= sigma <= _MAX_WALL_SIGMA_M:
+        how = f'take 0 to {_MAX_WALL_SIGMA_M:g} m'
         raise LandmarkNavError(f'{where}: sigma_m is {sigma:g}: {how}')
     return Wall(
         reading.name_field(entry, 'id', where),
         _point(entry, 'start', 2, where),
         _point(entry, 'end', 2, where),
         reading.number_field(entry, 'height', where),
-        sigma,
+        # 0 is a promise.
+        sigma if sigma is None else max(sigma, _EXACT_WALL_M),
     )
 
 

@@ -86,7 +86,7 @@ class _Matches:
         return min(len(np.unique(self.a)), len(np.unique(self.b)))
 
 
-def brought_together(a: LandmarkMap, b: LandmarkMap) -> tuple[LandmarkMap, FrameAlignment | None]:
+def in_one_frame(a: LandmarkMap, b: LandmarkMap) -> tuple[LandmarkMap, FrameAlignment | None]:
     """Map b in the frame of a, and the alignment: None if both were measured in one frame."""
     if not (a.has_own_frame or b.has_own_frame):
         return b, None
@@ -324,7 +324,7 @@ def merge_maps(older: LandmarkMap, newer: LandmarkMap) -> LandmarkMap:
     the maps cannot be aligned or contradict each other.
     """
     _check_sweeps(older, newer)
-    newer, alignment = brought_together(older, newer)
+    newer, alignment = in_one_frame(older, newer)
     if alignment is None:
         _check_same_room(older, newer)
     else:
@@ -377,8 +377,8 @@ def _check_sweeps(a: LandmarkMap, b: LandmarkMap) -> None:
     common = {p.stamp_ns for p in a.panorama_poses} & {p.stamp_ns for p in b.panorama_poses}
     if common:
         raise LandmarkNavError(
-            f'both maps were learned from the sweep of {min(common) * 1e-9:.3f} s, so their '
-            'errors are not independent: learn one map of all sweeps instead'
+            f'both maps have a sweep of {min(common) * 1e-9:.3f} s: if it is the same, their '
+            'errors are not independent: learn one map of all sweeps; else record all by one clock'
         )
 
 

@@ -56,6 +56,10 @@ def one_in(every: int, change: Change) -> Change:
     return where(lambda k: k % every == 0, change)
 
 
+def chained(first: Change, second: Change) -> Change:
+    return lambda message: second(first(message))
+
+
 def gone(first: int, last: int) -> Change:
     return where(lambda k: first <= k < last, nothing)
 

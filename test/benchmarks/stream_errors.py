@@ -378,6 +378,17 @@ def of_drives() -> dict[str, dict[str, StreamError]]:
             'mount turned by 180 deg, pan reversed': mount(
                 '(images|pan|camera|odom)', 'upside', axis_rpy=(np.pi, 0.0, np.pi)),
         },
+        'tenth': {
+            'pan hangs': joints(m.frozen('position'), 'joint_states values', 'does not move'),
+            'odom hangs': odom(
+                m.chained(m.frozen('pose'), m.frozen('twist')), 'odom values', 'does not move'),
+            'focal length steps by 20 %': info(
+                from_on(40, m.lens(1.2, 1.2)), 'camera zoom', '20 %'),
+            'one image in seven stamped before 1970': images(
+                m.one_in(7, m.stamps(lambda _: -5 * m.NS)), 'images values', '1[01] of 70'),
+            'one image in seven stamped in 2038': images(
+                m.one_in(7, m.stamps(lambda _: (2**31 - 1) * m.NS)), 'images values', '1[01] of'),
+        },
     }
 
 

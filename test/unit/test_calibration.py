@@ -7,7 +7,7 @@ import pytest
 from scenes import Board, draw_sweep, rectangle_room, smooth_texture, textured_room, turn_sweep
 from scipy.special import chdtri
 
-from landmark_nav.calibration import Calibration, NAMES
+from landmark_nav.calibration import Calibration, NAMES, shown
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.learning.calibration.sweep_calibration import (
@@ -220,3 +220,10 @@ def test_too_few_frames_or_no_texture_is_reported():
     plain = Sweep(0, tuple(CameraFrame(k, blank, FOLDER, pan) for k, pan in enumerate(FEW)))
     with pytest.raises(LandmarkNavError, match='0 matches between neighbouring frames'):
         align_sweep(plain, MOUNT)
+
+
+@pytest.mark.parametrize('sigma', [0.00004, 0.004, 3.0])
+def test_a_difference_is_shown_with_a_digit_of_its_sigma(sigma):
+    value, sigma_shown = map(float, shown(0.41, sigma, '1').split()[:3:2])
+    assert sigma_shown == pytest.approx(100.0 * sigma, rel=0.5)
+    assert value == pytest.approx(41.0)

@@ -31,11 +31,11 @@ from landmark_nav.diagnosis.motion import (
 from landmark_nav.diagnosis.odometry import check_twist
 from landmark_nav.diagnosis.parts import (
     check_content,
-    held_values,
+    frozen_values,
     jumping_values,
     limited_values,
     moved_between,
-    staying_values,
+    repeated_values,
 )
 from landmark_nav.diagnosis.stamps import check_stamps
 from landmark_nav.diagnosis.streams import Stream
@@ -83,7 +83,7 @@ def test_without_a_fault_nothing_is_named(drive):
     judged = verdict(drive)
     assert judged.cause.kind == 'none'
     assert judged.fits
-    assert not any(part(drive) for part in (held_values, limited_values, staying_values))
+    assert not any(part(drive) for part in (repeated_values, limited_values, frozen_values))
     assert not jumping_values(drive)
 
 
@@ -154,7 +154,7 @@ def test_values_that_are_sent_several_times_are_seen(drive, stream):
     def held(t):
         return replace(t, values=t.values[np.arange(len(t.values)) // 10 * 10])
 
-    found = held_values(track(drive, stream, held))
+    found = repeated_values(track(drive, stream, held))
     finding, _ = found
     assert finding.name.startswith(stream)
     assert finding.values['changes_hz'] == pytest.approx(2.0, rel=0.1)
@@ -213,7 +213,8 @@ SOME = (
     *('images of two cameras', 'focal length x 0.02'),
     *('image stamps rounded down to 0.4 s', 'all clocks set by 54 years'),
     *('odom orientation all zero', 'images of two sizes', 'joint_states without joints'),
-    'images clock set back by 1 s',
+    *('images clock set back by 1 s', 'pan hangs', 'odom hangs'),
+    *('focal length steps by 20 %', 'one image in seven stamped before 1970'),
 )
 
 

@@ -1,6 +1,6 @@
 from __future__ import annotations
 
-from builders import bare_landmark, nees, pose_error
+from builders import bare_landmark, nees, panorama_of, pose_error
 from drawn_drives import driven, MOUNT, NS, simulated
 from hypothesis import given
 from hypothesis import strategies as st
@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from landmark_nav.calibration import Calibration, NAMES
+from landmark_nav.evaluation.learning_report import learning_report
 from landmark_nav.evaluation.metrics import (
     consistency,
     crlb_ratio,
@@ -20,7 +21,10 @@ from landmark_nav.evaluation.metrics import (
 )
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.camera import PanTiltMount
+from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.geometry.se2 import compose
+from landmark_nav.learning.pipeline import LearningResult
+from landmark_nav.learning.stages import StageLog
 from landmark_nav.localization.estimator.config import EstimatorConfig
 from landmark_nav.localization.estimator.factors import ImagePoints
 from landmark_nav.localization.estimator.filter import JointFilter
@@ -251,3 +255,29 @@ def test_a_robot_that_was_carried_off_is_found():
     for part in (slice(0, 30), slice(50, None)):
         assert (squares[part] < 31.8).all()
         assert np.median(np.hypot(*smoothed[part, :2].T)) < 0.02
+
+
+@pytest.mark.parametrize('lengths', [0.8, 1.0, 1.15])
+def test_sweeps_are_consistent_whatever_the_scale_of_the_map(lengths):
+    rng, sigma = np.random.default_rng(3), 1e-3
+    true = np.array([[0.0, 0.0, 0.0], [2.0, 0.4, 0.7], [3.0, -1.0, -2.0], [1.0, 2.0, 1.0]])
+    poses = true * [lengths, lengths, 1.0]
+    poses[1:] += rng.normal(0.0, sigma, (3, 3))
+    image, cylinder = np.zeros((8, 16), np.uint8), Cylinder(16, 8, 2.5, 7.5, 4.0)
+    panoramas = tuple(
+        panorama_of(
+            image, cylinder, stamp_ns=k * NS, center_map=np.array([x, y, 1.0]), heading_rad=yaw,
+            covariance=sigma**2 * np.eye(4),
+        )
+        for k, (x, y, yaw) in enumerate(poses)
+    )  # fmt: skip
+    learned = LandmarkMap((), provenance={'frame': 'first sweep'})
+    result = LearningResult(learned, panoramas, ((),) * 4, ((),) * 4, 0)
+    truth = PoseTrack.of((k * NS, pose) for k, pose in enumerate(true))
+    known = Calibration.exact(PanTiltMount())
+    report = learning_report(result, panoramas, [1] * 4, truth, known, StageLog(), 1.0)
+    assert report['scale'] == pytest.approx(lengths, abs=1e-3)
+    sweeps = report['sweeps'][1:]
+    assert np.mean([sweep['nees'] for sweep in sweeps]) < 9.3
+    off = [abs(lengths - 1.0) * np.hypot(*pose[:2]) for pose in true[1:]]
+    np.testing.assert_allclose([s['error_position_m'] for s in sweeps], off, atol=5.0 * sigma)

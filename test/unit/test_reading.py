@@ -3,6 +3,7 @@
 import gzip
 import os
 from pathlib import Path
+import re
 import socket
 
 import cv2
@@ -67,6 +68,37 @@ def test_hostile_yaml_is_one_short_line(read, hostile):
     line = one_line(str(caught.value))
     assert len(line) <= 200
     assert line.isprintable()
+
+
+@pytest.mark.parametrize(
+    ('text', 'stays'),
+    [
+        (
+            '/tmp/a_long_folder/of_runs/corridor/learn: sweep 1 (of 1000.1 s): no place in the '
+            'room fits; at (1, 2) m, red has 34 % of its edges, 0 % of them as they should be, '
+            'green fits, blue fits, yellow is not seen: uncover the papers, or check colours, '
+            'sizes and places in room.yaml',
+            ('red has 34 % of its edges', 'uncover the papers'),
+        ),
+        (
+            'nominal.yaml: the sweeps show, and use, '
+            + ', '.join(f'value_{k} {k}.5 +- 0.1 mm' for k in range(12))
+            + ' more than it gives',
+            ('the sweeps show, and use', 'value_11 11.5 +- 0.1 mm more than it gives'),
+        ),
+        (
+            'camera lens: fx in camera_info is 43 % too short '
+            f'(or {", ".join(map(str, range(50)))}: undecided): calibrate again',
+            ('fx in camera_info is 43 % too short', 'calibrate again'),
+        ),
+    ],
+)  # fmt: skip
+def test_a_long_line_loses_whole_parts_and_keeps_subject_and_remedy(text, stays):
+    line = one_line(text)
+    assert len(line) <= 200
+    assert all(part in line for part in stays)
+    words = set(re.split('[ ,:/]+', text))
+    assert all(word in words for word in re.split('[ ,:/]+', line.replace('…', '')) if word)
 
 
 def test_a_file_of_too_many_values_is_refused(tmp_path):

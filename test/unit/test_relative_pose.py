@@ -217,8 +217,9 @@ def test_odometry_that_contradicts_the_panoramas_is_refused(wrong, count, sigma)
     rng = np.random.default_rng(6)
     seen = features(POSES[:2], room_points(rng, count), rng)
     known = odometry(np.array([[0.0, 0.0, 0.0], wrong]), *sigma)
-    with pytest.raises(LandmarkNavError, match='odom and panoramas disagree'):
+    with pytest.raises(LandmarkNavError, match='odom and panoramas disagree') as refused:
         relative_poses(seen, [known], LEVER, CONFIG)
+    assert 'pan_axis' in str(refused.value)
 
 
 def test_sweeps_are_placed_where_ways_cross_not_as_far_away_as_a_single_sheet_says():

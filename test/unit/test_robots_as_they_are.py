@@ -3,6 +3,7 @@
 from bag_writers import FACTORY, MOUNT, SECOND, START, write_drive
 import numpy as np
 import pytest
+from rosbags.rosbag2 import StoragePlugin, Writer
 from scipy.spatial.transform import Rotation
 
 from landmark_nav.calibration import Calibration
@@ -205,6 +206,23 @@ def test_a_lone_message_that_cannot_be_used_is_left_out(tmp_path, spoil):
     assert sum(isinstance(e, OdometrySample) for e in sensor_events(bag, MOUNT)) == 39
     assert '1 of 40 messages left out' in warnings[0]
     assert '/odom' in warnings[0]
+
+
+@pytest.mark.parametrize('topic', ['/odom', '/joint_states', '/camera/camera_info'])
+def test_messages_of_two_types_on_a_topic_are_refused(tmp_path, topic):
+    bag, store = Bag(write_drive(tmp_path / 'drive')), default_typestore()
+    with Writer(tmp_path / 'both', version=9, storage_plugin=StoragePlugin.MCAP) as written:
+        channels = {}
+        for entry in bag.messages():
+            messages = [entry.message, *([entry.message.header] if entry.topic == topic else [])]
+            for message in messages:
+                kind = entry.topic, message.__msgtype__
+                if kind not in channels:
+                    channels[kind] = written.add_connection(*kind, typestore=store)
+                data = store.serialize_cdr(message, message.__msgtype__)
+                written.write(channels[kind], entry.stamp_ns, data)
+    with pytest.raises(LandmarkNavError, match=topic):
+        list(sensor_events(Bag(tmp_path / 'both'), MOUNT))
 
 
 def test_topics_of_other_names_are_given(tmp_path):

@@ -302,3 +302,8 @@ def test_what_is_exact_stays_or_is_contradicted():
     assert near['axis_yaw'] == (MOUNT.axis_rpy[2], 0.0)
     with pytest.raises(LandmarkNavError, match=r'axis_yaw as exact.*\+5\.7'):
         prior.measured('axis_yaw', MOUNT.axis_rpy[2] + 0.1, 0.001)
+
+
+def test_a_wall_may_be_promised_to_be_exact(tmp_path):
+    room = load_room(written(tmp_path, ROOM.replace('height: 2.5}', 'height: 2.5, sigma_m: 0}')))
+    assert all(0.0 < wall.sigma_m <= 1e-3 for wall in room.walls)

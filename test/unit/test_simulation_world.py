@@ -1,6 +1,7 @@
 from collections import Counter
 import json
 from pathlib import Path
+import re
 import shlex
 
 import numpy as np
@@ -130,6 +131,11 @@ class TestCommand:
         out = tmp_path / 'run'
         assert main(['simulate', '--out', str(out), '--room', str(bad)]) == 1
         assert capsys.readouterr().err.count('\n') == 1
+        assert not out.exists()
+        robot = tmp_path / 'robot.yaml'
+        robot.write_text('pan_axis: {xyz: [0.1, 0.0, 1.0]}\npan_scale: 0.01\ncamera_tilt: 0.1\n')
+        assert main(['simulate', '--out', str(out), '--robot', str(robot)]) == 1
+        assert {'pan_scale', 'camera_tilt'} < {*re.split('[ ,:]+', capsys.readouterr().err)}
         assert not out.exists()
         assert main(['simulate', '--out', str(out), '--seed', '-3']) == 2
         assert main(['simulate', '--out', str(out), '--exchange', '20']) == 2

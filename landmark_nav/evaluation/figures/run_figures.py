@@ -10,7 +10,7 @@ import numpy as np
 from landmark_nav.evaluation.figures import style
 from landmark_nav.evaluation.figures.map_figure import draw_landmarks
 from landmark_nav.evaluation.replay import Replay
-from landmark_nav.evaluation.run_report import driven, errors_by_axis, RunErrors, Smoothed
+from landmark_nav.evaluation.run_report import errors_by_axis, path_of, RunErrors, Smoothed
 from landmark_nav.types import FloatArray, LandmarkMap
 
 
@@ -27,9 +27,9 @@ def draw_trajectory(
     lines = [(run.odometry.poses[:, :2].T, style.ODOMETRY, 1.5, 'odometry alone')]
     if len(run.truth):
         lines.append((run.truth.poses[:, :2].T, style.TRUTH, 3.0, 'truth'))
-    lines.append((driven(run, run.stamps_ns, run.fused), style.FUSED, 1.4, 'fused'))
+    lines.append((path_of(run, run.stamps_ns, run.fused), style.FUSED, 1.4, 'fused'))
     if smoothed is not None:
-        line = driven(run, smoothed.stamps_ns, smoothed.poses)
+        line = path_of(run, smoothed.stamps_ns, smoothed.poses)
         lines.append((line, style.SMOOTHED, 1.0, 'smoothed'))
     for line, color, width, label in lines:
         axes.plot(*line, color=color, linewidth=width, label=label, zorder=4)

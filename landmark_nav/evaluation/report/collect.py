@@ -23,7 +23,7 @@ from landmark_nav.evaluation.calibration_run import Residuals
 from landmark_nav.evaluation.metrics import pose_errors
 from landmark_nav.evaluation.replay import Replay
 from landmark_nav.evaluation.report import tables
-from landmark_nav.evaluation.run_report import driven, errors_by_axis, RunErrors, Smoothed
+from landmark_nav.evaluation.run_report import errors_by_axis, path_of, RunErrors, Smoothed
 from landmark_nav.geometry.walls import Paper, paper_bgr
 from landmark_nav.image_codec import encode_image
 from landmark_nav.learning.pipeline import LearningResult
@@ -236,8 +236,8 @@ def _drive(
     known = list(dict.fromkeys(reasons))
     lines = {'odometry': run.odometry.poses[:, :2], 'truth': run.truth.poses[:, :2]}
     if smoothed is not None:
-        lines['smoothed'] = driven(run, smoothed.stamps_ns, smoothed.poses).T
-    lines['fused'] = driven(run, run.stamps_ns, run.fused).T
+        lines['smoothed'] = path_of(run, smoothed.stamps_ns, smoothed.poses).T
+    lines['fused'] = path_of(run, run.stamps_ns, run.fused).T
     return {
         't': _numbers(1e-9 * (stamps - run.begin_ns), 3),
         'pose': _numbers(run.fused[chosen], 4),

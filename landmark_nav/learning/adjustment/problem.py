@@ -241,18 +241,18 @@ class Problem:
         poses = np.array([(*p.center_map, p.heading_rad) for p in panoramas])
         section = wall_sections(start, walls, room, config.hanging_length_m)
         # Indicators of the wall and the section of each landmark: (n, walls + sections).
-        self._hangs = self.on_wall[:, None] * np.hstack(
+        self._wall_design = self.on_wall[:, None] * np.hstack(
             [np.eye(len(room.walls))[wall], np.eye(int(section.max()) + 1)[section]]
         )
-        plane = (np.arange(self._hangs.shape[1]) < len(room.walls)).astype(np.float64)
+        plane = (np.arange(self._wall_design.shape[1]) < len(room.walls)).astype(np.float64)
         # A wall with a given sigma has that; for the others one sigma is estimated.
         given = np.zeros(len(plane))
         given[: len(room.walls)] = [wall.sigma_m or 0.0 for wall in room.walls]
-        self._given = np.diag(given**2)
+        self._given_wall_covariance = np.diag(given**2)
         alone = plane * (given == 0.0)
         # Patterns of the covariance: common to all walls, of each wall, of each section.
-        self._hanging = np.outer(plane, plane), np.diag(alone), np.diag(1.0 - plane)
-        self._mounted, self._lifted, known, self._calibration, made_with = _calibration(panoramas)
+        self._wall_patterns = np.outer(plane, plane), np.diag(alone), np.diag(1.0 - plane)
+        self._tilt_axes, self._rises, known, self._calibration, made_with = _calibration(panoramas)
         if len(known):
             # Corrections of panoramas are for an eccentric camera that sees the walls of the room.
             views = poses[self.view]
@@ -336,7 +336,7 @@ class Problem:
             rest.append(self._by_warps)
             own = shared[self._warped].reshape(self.views, -1)[self.view]
             seen -= (self._by_warps @ own[..., None])[..., 0]
-        wall = self._hangs @ shared[self._walls] - self.off_wall(points)
+        wall = self._wall_design @ shared[self._walls] - self.off_wall(points)
         by_view = np.concatenate([-by_point, *rest], -1)
         return Linearized(points, shared, seen, wall, by_point, by_view)
 
@@ -348,11 +348,11 @@ class Problem:
         cos, sin = np.cos(self._seen[:, 0]), np.sin(self._seen[:, 0])
         # A camera in front of the axis is nearer; one to its left sees objects more to the right;
         # a leaning axis lifts it.
-        ahead, left = self._lifted @ [cos, sin], self._lifted @ [-sin, cos]
+        ahead, left = self._rises @ [cos, sin], self._rises @ [-sin, cos]
         out[:, 1, 0], out[:, 0, 1] = (tangent - ahead) / reach, -1.0 / reach
         out[:, 1, 1] = -left / reach
         out[:, 1, 2], out[:, 1, 3] = -square, tangent
-        out[:, :, 4:] = self._by_turns @ self._mounted
+        out[:, :, 4:] = self._by_turns @ self._tilt_axes
         return out
 
     @cached_property
@@ -384,7 +384,7 @@ class Problem:
         b_x += (wall * at.wall)[:, None] * self.normal
         h_ss, parts = prior, []
         b_s = prior @ (self.prior - shared)
-        hangs = wall[:, None] * self._hangs
+        weighted_design = wall[:, None] * self._wall_design
         for group in self.groups:
             by_shared = group.by_columns(at)
             h_xs = _sum_by(group.local, jx[group.rows].swapaxes(1, 2) @ by_shared)
@@ -393,11 +393,11 @@ class Problem:
             h_ss[np.ix_(group.columns, group.columns)] += weighted.T @ flat
             b_s[group.columns] += weighted.T @ at.seen[group.rows].ravel()
             if len(group.columns) == len(shared):
-                hung = hangs[group.landmarks, None]
-                h_xs[..., self._walls] -= self.normal[group.landmarks, :, None] * hung
+                design = weighted_design[group.landmarks, None]
+                h_xs[..., self._walls] -= self.normal[group.landmarks, :, None] * design
             parts.append(h_xs)
-        h_ss[self._walls, self._walls] += hangs.T @ self._hangs
-        b_s[self._walls] -= hangs.T @ at.wall
+        h_ss[self._walls, self._walls] += weighted_design.T @ self._wall_design
+        b_s[self._walls] -= weighted_design.T @ at.wall
         return NormalEquations(self.groups, h_xx, parts, h_ss, b_x, b_s)
 
     def cost(self, at: Linearized, weights: Weights) -> float:
@@ -411,11 +411,11 @@ class Problem:
         """Prior covariance (m, m) of the shared unknowns by the `spread` of weights."""
         plan, height, *hanging = spread
         factor = np.where(self._height, height, plan)
-        off_walls = sum(s**2 * part for s, part in zip(hanging, self._hanging, strict=True))
+        off_walls = sum(s**2 * part for s, part in zip(hanging, self._wall_patterns, strict=True))
         covariance = np.zeros((len(self.prior), len(self.prior)))
         for part, block in (
             (self.pose_part, self._places * np.outer(factor, factor)),
-            (self._walls, off_walls + self._given),
+            (self._walls, off_walls + self._given_wall_covariance),
             (self.calibration_part, self._calibration),
             (self._warped, self._warp_variance),
         ):
@@ -437,9 +437,9 @@ class Problem:
         places = np.zeros(prior.shape)
         places[self.pose_part, self.pose_part] = prior[self.pose_part, self.pose_part]
         parts = [(1.0 - upward) * places, upward * places]
-        for sigma, hanging in zip(spread[2:], self._hanging, strict=True):
+        for sigma, pattern in zip(spread[2:], self._wall_patterns, strict=True):
             parts.append(np.zeros(prior.shape))
-            parts[-1][self._walls, self._walls] = sigma**2 * hanging
+            parts[-1][self._walls, self._walls] = sigma**2 * pattern
         squares = np.array([misfit @ part @ misfit for part in parts])
         counts = np.array([np.sum(part * left) for part in parts])
         return np.maximum(squares, 0.0), np.maximum(counts, 0.0)
@@ -458,7 +458,7 @@ class Problem:
             seen[group.rows] += np.sum((by_shared @ block) * by_shared, -1)
             by_wall = -np.einsum('ni,nip->np', self.normal[group.landmarks], gain)
             if len(group.columns) == len(shared):
-                by_wall[:, self._walls] -= self._hangs[group.landmarks]
+                by_wall[:, self._walls] -= self._wall_design[group.landmarks]
             wall[group.landmarks] += np.sum((by_wall @ block) * by_wall, -1)
         return seen, wall
 
@@ -503,5 +503,5 @@ def _calibration(
     covariance = known.covariance[np.ix_(which, which)] + _LEAST_ERROR**2 * np.eye(len(which))
     # Rises of a camera that is moved along x and y of the base about the pan axis.
     normal = rotation_rpy(known.mount.axis_rpy)[:, 2]
-    lifted = -normal[:2] / normal[2]
-    return tilt_axes(known), lifted, known.values[which], covariance, made[:, which]
+    rises = -normal[:2] / normal[2]
+    return tilt_axes(known), rises, known.values[which], covariance, made[:, which]

@@ -122,7 +122,7 @@ class PlaceSource:
         return (
             f'{self.name} and panoramas disagree from sweep {worst + 1} to {worst + 2}: by '
             f'{heading:+.1f} deg in heading, {course:+.1f} deg in direction: fix {self.name}, or '
-            'drive again without slipping'
+            'pan_axis (xyz, zero of the pan) in robot.yaml, or drive without slipping'
         )
 
 

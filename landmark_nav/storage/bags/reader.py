@@ -134,11 +134,14 @@ class Bag:
         self._stamps_ns: dict[str, IntArray] = {}
         self.types: dict[str, str] = {}
         self.counts: dict[str, int] = {}
+        # Types of the messages of each topic: nodes may publish different ones.
+        self._kinds: dict[str, set[str]] = {}
         for file in self._files:
             for info, count in file.counts.items():
                 name = definitions.STANDARD_NAMES.get(info.type_name, info.type_name)
                 self.types[info.topic] = name
                 self.counts[info.topic] = self.counts.get(info.topic, 0) + count
+                self._kinds.setdefault(info.topic, set()).update([name] if count else [])
         filled = [file for file in self._files if any(file.counts.values())]
         self.start_ns = min((file.first_ns for file in filled), default=0)
         self.duration_s = 1e-9 * (max((f.last_ns for f in filled), default=0) - self.start_ns)
@@ -208,6 +211,11 @@ class Bag:
         if not found:
             return None
         (topic,) = found
+        if len(kinds := self._kinds[topic]) > 1:
+            raise LandmarkNavError(
+                f'{self.path}: topic {topic} has messages of {" and ".join(sorted(kinds))}: stop '
+                'one of their nodes, or remap it, and record again'
+            )
         if types[topic] != wanted:
             is_of = f'topic {topic} is of type {types[topic]}'
             raise LandmarkNavError(f'{self.path}: {is_of}, not {wanted}')
@@ -380,7 +388,7 @@ class MessageFilter:
 
     A message is unusable if its decoder refuses it, or if its stamp deviates from those of its
     neighbours by more than a transport delays messages (`wrong_stamps`). If `needed`, one must be
-    usable.
+    usable. `complaints` are why, one each.
     """
 
     def __init__(
@@ -389,7 +397,7 @@ class MessageFilter:
         self._bag, self._topic, self._what, self._needed = bag, topic, what, needed
         self._wrong_stamp_ns = wrong_stamps(bag.stamps_ns.get(topic, np.empty((0, 2), np.int64)))
         self._used = 0
-        self._complaints: list[str] = []
+        self.complaints: list[str] = []
 
     def take(self, decode: Callable[[BagMessage], T], entry: BagMessage) -> T | None:
         """Return the decoded message; None if it is unusable."""
@@ -404,7 +412,7 @@ class MessageFilter:
                     )
                 event = decode(entry)
         except LandmarkNavError as error:
-            self._complaints.append(str(error))
+            self.complaints.append(str(error))
             return None
         self._used += 1
         return event
@@ -413,12 +421,12 @@ class MessageFilter:
         """Warn of messages left out; `LandmarkNavError` if none was usable but some are needed."""
         if not self._used and self._needed:
             nothing = f'{self._bag.path}: {self._topic}: no message can be read'
-            raise LandmarkNavError(next(iter(self._complaints), nothing))
-        if not self._complaints:
+            raise LandmarkNavError(next(iter(self.complaints), nothing))
+        if not self.complaints:
             return
-        count = len(self._complaints)
+        count = len(self.complaints)
         which = f'{count} of {self._used + count} {self._what}'
-        self._bag.warn(f'{which} left out: {self._complaints[0]}')
+        self._bag.warn(f'{which} left out: {self.complaints[0]}')
 
 
 def decoded(
