@@ -8,8 +8,8 @@ from importlib.metadata import PackageNotFoundError, version
 import re
 import reprlib
 
-# Largest length of a line, and of a value in it.
-_LINE_LENGTH, _PART_LENGTH = 200, 60
+# Largest length of a line, of a value in it, and usual one of a topic.
+_LINE_LENGTH, _PART_LENGTH, _TOPIC_LENGTH = 200, 60, 24
 # Longer texts are cut off.
 _MAX_LENGTH = 10_000
 # Parentheses, which may hold others; with what divides them from the words before.
@@ -96,8 +96,8 @@ def _printable(text: str) -> str:
 
 
 def _without_folder(text: str) -> str:
-    """Path without its first folder; other text as it is."""
-    is_path = '/' in text.removeprefix('…/') and ' ' not in text
+    """Long path without its first folder; other text, as that of topics, as it is."""
+    is_path = '/' in text.removeprefix('…/') and ' ' not in text and len(text) > _TOPIC_LENGTH
     return f'…/{text.removeprefix("…/").lstrip("/").partition("/")[2]}' if is_path else text
 
 
