@@ -11,7 +11,7 @@ import reprlib
 # Largest length of a line, of a value in it, and usual one of a topic.
 _LINE_LENGTH, _PART_LENGTH, _TOPIC_LENGTH = 200, 60, 24
 # Longer texts are cut off.
-_MAX_LENGTH = 10_000
+_MAX_LENGTH = 2_000
 # Parentheses, which may hold others; with what divides them from the words before.
 _INSIDE = re.compile(r'\((?:[^()]|\([^()]*\))*\)')
 _PARENTHESIS = re.compile(f',? ?{_INSIDE.pattern}')
@@ -97,8 +97,8 @@ def _printable(text: str) -> str:
 
 def _without_folder(text: str) -> str:
     """Long path without its first folder; other text, as that of topics, as it is."""
-    is_path = '/' in text.removeprefix('…/') and ' ' not in text and len(text) > _TOPIC_LENGTH
-    return f'…/{text.removeprefix("…/").lstrip("/").partition("/")[2]}' if is_path else text
+    rest = text.removeprefix('…/').lstrip('/').partition('/')[2]
+    return f'…/{rest}' if rest and ' ' not in text and len(text) > _TOPIC_LENGTH else text
 
 
 def _without_clause(text: str) -> str:

@@ -212,8 +212,8 @@ def _config(args: argparse.Namespace, placed: bool) -> Configuration:
     sizes = {name: value for name, value in given.items() if value is not None}
     if sizes and placed:
         raise UsageError(
-            '--paper-size and --marker-size are for sweeps that neither papers of --room nor '
-            'sweep/pose place: leave them out'
+            '--paper-size and --marker-size are for sweeps that neither --room (papers, markers) '
+            'nor sweep/pose place: leave them out'
         )
     try:
         sheets = replace(config.unmeasured.sheets, **sizes)

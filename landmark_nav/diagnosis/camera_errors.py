@@ -51,7 +51,7 @@ _LEVEL_RAD = 0.02
 # the second.
 _ALIKE, _CERTAIN = 5.0, 12.0
 # Least gain of an error over its standard error by the pairs.
-_SIGNIFICANT = 3.0
+_SIGNIFICANT, _NO_SPREAD = 3.0, 1e-9
 
 
 class Corners(NamedTuple):
@@ -233,25 +233,25 @@ def camera_error(matches: Matches, setup: CameraSetup) -> CameraError | None:
     none = max(score - cost for _, score, cost in starts)
     found = {}
     for name, error in _ERRORS.items():
-        fits = [(*_best(matches, s, error, score), cost) for s, score, cost in starts]
-        scored = ((value, score - cost) for value, score, cost in fits)
+        fits = [(*_best(matches, s, error, score), cost, s) for s, score, cost in starts]
+        scored = ((error.change(s, value), score - cost) for value, score, cost, s in fits)
         found[name] = max(scored, key=lambda pair: pair[1])
     name = max(found, key=lambda key: found[key][1])
-    score = found[name][1]
+    best, score = found[name]
     if score < none + _CERTAIN:
         return None
     value, _ = _best(matches, given, _ERRORS[name], -np.inf)
-    found_setup = _ERRORS[name].change(given, value)
     # Pairs differ in the depths of what they see: their gains in likelihood say how sure it is
     # (Vuong, Likelihood ratio tests for model selection and non-nested hypotheses, Econometrica
     # 57(2), 1989).
-    scores = _scores(matches, found_setup)
+    scores = _scores(matches, best)
     gains = np.array([scores - _scores(matches, without) for without in (given, setup)])
-    least = np.min(gains.mean(axis=1) / gains.std(axis=1)) * np.sqrt(len(scores))
-    if abs(value) < _MATTERS or least < _SIGNIFICANT:
+    spread = np.maximum(gains.std(axis=1), _NO_SPREAD)
+    least = np.min(gains.mean(axis=1) / spread) * np.sqrt(len(scores))
+    if abs(value) < _MATTERS or not least >= _SIGNIFICANT:
         return None
     also = tuple(key for key in found if key != name and found[key][1] > score - _ALIKE)
-    return CameraError(name, value, found_setup, also)
+    return CameraError(name, value, _ERRORS[name].change(given, value), also)
 
 
 def _nearly(matches: Matches, setup: CameraSetup) -> CameraSetup:

@@ -162,6 +162,9 @@ def _reference_area(area: Any) -> tuple[tuple[Paper, ...], tuple[Marker, ...], s
     where, default = 'reference_area', Room.marker_dictionary
     if not area:
         return (), (), default
+    if not isinstance(area, dict):
+        raise LandmarkNavError(f'{where} is {shown(area)}, not a mapping')
+    reading.check_spelling(area, ('papers', 'markers', 'marker_dictionary'), where)
     # A reference area without markers has papers.
     known = [key for key in ('papers', 'markers') if key in area] or ['papers']
     hung = {key: reading.list_field(area, key, where, _MAX_PAPERS) for key in known}

@@ -20,6 +20,8 @@ _TURNING = ('revolute', 'continuous')
 # Least cosine of the angle between the pan axis and a vertical line, and between the tilt axis and
 # the left of the view.
 _ALIGNED = math.cos(math.radians(20.0))
+# Range of the rate of a pan joint, radians a second.
+_LEAST_RATE, _GREATEST_RATE = 0.01, 100.0
 
 
 class _Joint(NamedTuple):
@@ -30,8 +32,20 @@ class _Joint(NamedTuple):
     parent: str
     translation: FloatArray
     rotation: FloatArray
-    axis: FloatArray
-    limits: dict[str, float]
+    element: ElementTree.Element
+
+    @property
+    def axis(self) -> FloatArray:
+        """Unit vector (3,) along the axis, in the frame of the joint."""
+        axis = _numbers(self.element, 'axis', 'xyz', '1 0 0', self.name)
+        length = float(np.linalg.norm(axis))
+        if not length:
+            raise LandmarkNavError(f'joint {shown(self.name)}: its axis has no direction')
+        return axis / length
+
+    def limit(self, key: str) -> float:
+        """Value of a limit, 0 if there is none."""
+        return float(_numbers(self.element, 'limit', key, '0', self.name, 1)[0])
 
 
 def robot_of_urdf(text: str, camera_frame: str = '') -> dict[str, Any]:
@@ -52,11 +66,19 @@ def robot_of_urdf(text: str, camera_frame: str = '') -> dict[str, Any]:
         Optical frame of the camera; by default the only one that a joint turns.
     """
     joints = _joints(text)
+    if camera_frame and camera_frame not in joints:
+        raise LandmarkNavError(f'no joint holds a frame {shown(camera_frame)}')
     frames = [camera_frame] if camera_frame else [name for name in joints if _OPTICAL in name]
-    chains = {name: chain for name in frames if _turning(chain := _chain(joints, name))}
+    chains = {name: _chain(joints, name) for name in frames}
+    fixed_or_turned = {
+        name: chain
+        for name, chain in chains.items()
+        if camera_frame or all(joint.kind in (*_TURNING, 'fixed') for joint in chain)
+    }
+    chains = {name: chain for name, chain in fixed_or_turned.items() if _turning(chain)}
     if len(chains) != 1:
         what = f'{", ".join(chains)} turn' if chains else 'no joint turns a camera'
-        how = 'give FILE:FRAME, with the optical frame (x right, y down, z ahead) of one camera'
+        how = f'give FILE:FRAME, with the optical frame of one camera that turns on {_BASE}'
         raise LandmarkNavError(f'{what}: {how}')
     (chain,) = chains.values()
     pan, *others = _turning(chain)
@@ -82,6 +104,11 @@ def robot_of_urdf(text: str, camera_frame: str = '') -> dict[str, Any]:
                 f'{other.name}: its angles have to be positive upwards: turn its axis, and what '
                 'drives it, round; if it never moves, make it fixed'
             )
+    if others:
+        # The tilt turns the camera about the origin of the mount: it is put as high as its axis.
+        to_tilt, _ = _along(chain[number + 1 : chain.index(others[0]) + 1])
+        rise = np.array([0.0, 0.0, (_onto(pan.axis).T @ to_tilt)[2]])
+        place, center = place + upright @ rise, center - rise
     axis = upright @ rot_z(yaw)
     document: dict[str, Any] = {
         'base_frame': _BASE,
@@ -93,10 +120,12 @@ def robot_of_urdf(text: str, camera_frame: str = '') -> dict[str, Any]:
     }
     if others:
         document['tilt_joint'] = others[0].name
-    if pan.kind == 'revolute' and pan.limits.get('lower', 0.0) < pan.limits.get('upper', 0.0):
-        document |= {'pan_min': pan.limits['lower'], 'pan_max': pan.limits['upper']}
-    if pan.limits.get('velocity', 0.0) > 0.0:
-        document['pan_rate'] = pan.limits['velocity']
+    # Limits that mean none, as of a simulator, are left out.
+    low, high, rate = map(pan.limit, ('lower', 'upper', 'velocity'))
+    if pan.kind == 'revolute' and -math.tau <= low < high <= math.tau:
+        document |= {'pan_min': low, 'pan_max': high}
+    if _LEAST_RATE <= rate <= _GREATEST_RATE:
+        document['pan_rate'] = rate
     return document
 
 
@@ -114,19 +143,9 @@ def _joints(text: str) -> dict[str, _Joint]:
         name = joint.get('name', '')
         parent, child = (_attribute(joint, tag, 'link') for tag in ('parent', 'child'))
         xyz, rpy = (_numbers(joint, 'origin', key, '0 0 0', name) for key in ('xyz', 'rpy'))
-        axis = _numbers(joint, 'axis', 'xyz', '1 0 0', name)
-        length = float(np.linalg.norm(axis))
-        if not length:
-            raise LandmarkNavError(f'joint {shown(name)}: its axis has no direction')
-        limits = joint.find('limit')
-        bounds: dict[str, float] = {
-            key: float(_numbers(joint, 'limit', key, '0', name, 1)[0])
-            for key in ('lower', 'upper', 'velocity')
-            if limits is not None and key in limits.attrib
-        }
-        kind = joint.get('type', 'fixed')
-        turn = rotation_rpy(rpy)
-        joints[child] = _Joint(name, kind, parent, xyz, turn, axis / length, bounds)
+        joints[child] = _Joint(
+            name, joint.get('type', 'fixed'), parent, xyz, rotation_rpy(rpy), joint
+        )
     return joints
 
 

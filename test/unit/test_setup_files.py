@@ -114,6 +114,7 @@ def test_robot_as_written_and_defaults(tmp_path):
                 ),
             )
         ),
+        (load_room, ROOM[: ROOM.index('  papers')].replace('area:', 'area: 5'), 'not a mapping'),
         (load_room, ROOM + '  marker_dictionary: DICT_9\n', 'dictionary .*DICT_9.*: take one'),
         (load_room, ROOM.replace('[4, ', '[4000, '), 'wall south is 4000 m long: lengths are m'),
         (load_robot, 'base_frame: base_link', 'pan_axis is missing'),

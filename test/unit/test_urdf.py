@@ -5,7 +5,7 @@ import pytest
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import BODY_FROM_OPTICAL
-from landmark_nav.geometry.se2 import rot_z, rotation_rpy
+from landmark_nav.geometry.se2 import rot_y, rot_z, rotation_rpy
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.storage.robot_files import load_calibration, load_odometry
 
@@ -101,6 +101,40 @@ def test_one_of_several_cameras(tmp_path):
         for frame in ('camera_optical_frame', 'depth_optical_frame')
     )
     assert other - one == pytest.approx(0.035, abs=1e-3)
+
+
+def test_joints_that_do_not_turn_the_camera_have_no_effect(tmp_path):
+    """Fixed joints without an axis, wheels without limits, a camera on a lift."""
+    others = (
+        joint('mark', 'base_link', 'mark', more='<axis xyz="0 0 0"/>'),
+        joint('wheel', 'base_link', 'wheel', kind='continuous', more='<limit velocity="inf"/>'),
+        joint('lift', 'base_link', 'lift', kind='prismatic', more=PAN),
+        joint('hand', 'lift', 'hand_optical_frame', rpy=OPTICAL),
+    )
+    known, alone = (
+        read(tmp_path / f'{name}.urdf', robot(*USUAL, *more))
+        for name, more in (('a', others), ('b', ()))
+    )
+    assert (known.values == alone.values).all()
+    unlimited = robot(*USUAL).replace('-2.5', '-1000').replace('"1.5"', '"1000"')
+    mount = read(tmp_path / 'c.urdf', unlimited).mount
+    assert mount.pan_limits_rad == pytest.approx((-np.pi, np.pi))
+
+
+def test_a_tilt_axis_above_the_pan_joint(tmp_path):
+    """Where the joint tilts, too, the camera is where the chain puts it."""
+    known = read(tmp_path / 'r.urdf', robot(*USUAL).replace('0.01 0 0.05', '0 0 0.05'))
+    tilt = 0.3
+    camera_tilt = known['camera_tilt'][0]
+    _, place = known.mount.camera_pose_base(0.5, tilt + camera_tilt)
+    mast = rotation_rpy([0.0, 0.01, 0.0])
+    turn = mast @ rot_z(0.02 + 0.5)
+    center = np.array([0.1, 0.01, 0.56]) + mast @ [0.0, 0.0, 0.4] + turn @ [0.0, 0.0, 0.05]
+    turn = turn @ rot_y(-tilt)
+    center = center + turn @ [0.03, 0.02, 0.01]
+    center = center + turn @ rotation_rpy([0.02, 0.03, 0.05]) @ [0.0, 0.015, 0.0]
+    # The yaw of the camera turns its tilt axis, too.
+    assert place == pytest.approx(center, abs=1e-3)
 
 
 def test_defaults_of_the_odometry(tmp_path):

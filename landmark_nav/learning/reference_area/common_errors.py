@@ -8,13 +8,15 @@ The measurements are the four edges of each paper, as in `fit`, with the same un
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from scipy.linalg import eigh
 
 from landmark_nav.arrays import BoolArray
-from landmark_nav.geometry.walls import Room
+from landmark_nav.geometry.walls import Paper, Room
 from landmark_nav.learning.least_squares import covariance_of, root_of, solve_root
+from landmark_nav.learning.reference_area.markers import LEAST_MARKERS
 from landmark_nav.learning.reference_area.model import (
     linearized,
     OF_PAPER,
@@ -94,9 +96,13 @@ def joint_covariance(
     """
     Joint covariance (4 v, 4 v) of x, y, z, heading of v sweeps that were estimated separately.
 
-    A misplaced paper moves all of them, and the height of the camera is the same everywhere: the
-    largest possible part of its error is common. Without papers they share their height only.
+    A misplaced paper or marker moves all of them, and the height of the camera is the same
+    everywhere: the largest possible part of its error is common. Without these they share their
+    height only.
     """
+    if not room.papers:
+        sheets = (Paper('marker', m.center, m.size, m.size) for m in room.markers)
+        room = replace(room, papers=tuple(sheets))
     alone = [p.covariance + 1e-12 * np.eye(4) for p in panoramas]
     loading = [_loading(p, c, room, config) for p, c in zip(panoramas, alone, strict=True)]
     rest = [c - part @ part.T for c, part in zip(alone, loading, strict=True)]
@@ -137,11 +143,12 @@ def _by_papers(
 ) -> FloatArray:
     """How papers that hang elsewhere move a panorama, (4, 1 + 2 k)."""
     loading = np.zeros((4, 1 + 2 * len(room.papers)))
-    if len(room.papers) < LEAST_PAPERS:
+    least = LEAST_MARKERS if room.markers else LEAST_PAPERS
+    if len(room.papers) < least:
         return loading
     eye = panorama.center_map[None]
     seen = papers_in_view(eye[:, :2], room)
-    if seen.sum() >= LEAST_PAPERS:
+    if seen.sum() >= least:
         given, by_papers = pose_errors(eye, room, config, panorama.cylinder.fy, seen)
         # A pose that is better known than papers would give it comes from something else.
         ratio = eigh(covariance[_PLAN], given[0], eigvals_only=True)[-1]
