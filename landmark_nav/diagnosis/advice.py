@@ -81,10 +81,13 @@ def cause_findings(judged: Verdict) -> list[Finding]:
         if judged.fits:
             return []
         motion, noise_rad = cause.motion, cause.left.noise_rad
-        for stream, what in ((JOINTS, 'the pan'), (ODOMETRY, 'its heading')):
+        for stream, what in (
+            (JOINTS, 'the pan does not move'),
+            (ODOMETRY, 'its heading does not change'),
+        ):
             given = stream == JOINTS or motion.odometry is not None
             if given and np.abs(motion.turned(stream)).max(initial=0.0) < _STAYS_RAD:
-                text = f'{what} does not change while the images turn'
+                text = f'{what} while the images turn'
                 advice = 'see whether its driver hangs; if it does stand, look at the others'
                 return [Finding(f'{stream} values', 'warning', text, advice)]
         text = 'no single fault explains how the images turn '

@@ -381,7 +381,7 @@ def of_drives() -> dict[str, dict[str, StreamError]]:
         'tenth': {
             'pan hangs': joints(m.frozen('position'), 'joint_states values', 'does not move'),
             'odom hangs': odom(
-                m.chained(m.frozen('pose'), m.frozen('twist')), 'odom values', 'does not move'),
+                m.chained(m.frozen('pose'), m.frozen('twist')), 'odom values', 'does not change'),
             'focal length steps by 20 %': info(
                 from_on(40, m.lens(1.2, 1.2)), 'camera zoom', '20 %'),
             'one image in seven stamped before 1970': images(
