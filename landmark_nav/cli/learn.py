@@ -60,10 +60,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add(parser, '--topic', '--overwrite', '--config')
     add(parser, '--robot', required=True)
     text = (
-        'room.yaml: walls and papers; without papers its frame is that of the first sweep, as in '
-        'the file of --walls-out (default: walls are found, the scale is that of sweep/pose, '
+        'room.yaml: walls, and papers or markers; with walls alone its frame is that of the first '
+        'sweep, as in the file of --walls-out (default: walls are found, the scale is that of '
+        'sweep/pose, odom, papers and markers, the frame that of the first sweep)'
     )
-    text += 'odom, papers and markers, the frame that of the first sweep)'
     add(parser, '--room', help=text)
     text = 'write the walls as room.yaml, to be corrected and given as --room'
     add(parser, '--walls-out', metavar='F', type=Path, help=text)

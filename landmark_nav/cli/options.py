@@ -108,7 +108,7 @@ _COMMON: dict[str, dict[str, Any]] = {
         'transform of FRAME. Names that only have a namespace are found without it',
     },
     '--robot': {'metavar': 'F', 'help': 'robot.yaml, or a URDF: how the camera is mounted'},
-    '--room': {'metavar': 'F', 'help': 'room.yaml: walls and papers'},
+    '--room': {'metavar': 'F', 'help': 'room.yaml: walls, and papers or markers'},
     '--map': {'metavar': 'MAP', 'help': 'map folder, of learn'},
     '--out': {'metavar': 'DIR', 'type': Path, 'help': 'folder to write'},
     '--overwrite': {'action': 'store_true', 'help': 'replace what --out names, if it is there'},

@@ -50,7 +50,7 @@ _LEVEL_RAD = 0.02
 # Scores within the first difference are equivalent; an error exceeds the score without errors by
 # the second.
 _ALIKE, _CERTAIN = 5.0, 12.0
-# Least gain of an error over its standard error by the pairs.
+# Least gain of an error over its standard error by the pairs; least spread of gains.
 _SIGNIFICANT, _NO_SPREAD = 3.0, 1e-9
 
 

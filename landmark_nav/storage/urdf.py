@@ -70,12 +70,12 @@ def robot_of_urdf(text: str, camera_frame: str = '') -> dict[str, Any]:
         raise LandmarkNavError(f'no joint holds a frame {shown(camera_frame)}')
     frames = [camera_frame] if camera_frame else [name for name in joints if _OPTICAL in name]
     chains = {name: _chain(joints, name) for name in frames}
-    fixed_or_turned = {
+    # A camera on a lift or gripper is another one, unless it is named.
+    chains = {
         name: chain
         for name, chain in chains.items()
-        if camera_frame or all(joint.kind in (*_TURNING, 'fixed') for joint in chain)
+        if (camera_frame or not _sliding(chain)) and _turning(chain)
     }
-    chains = {name: chain for name, chain in fixed_or_turned.items() if _turning(chain)}
     if len(chains) != 1:
         what = f'{", ".join(chains)} turn' if chains else 'no joint turns a camera'
         how = f'give FILE:FRAME, with the optical frame of one camera that turns on {_BASE}'
@@ -85,18 +85,19 @@ def robot_of_urdf(text: str, camera_frame: str = '') -> dict[str, Any]:
     number = chain.index(pan)
     place, turn = _along(chain[: number + 1])
     place[2] += _height(joints)
-    upright = turn @ _onto(pan.axis)
+    of_axis = _onto(pan.axis)
+    upright = turn @ of_axis
     if abs(upright[2, 2]) < _ALIGNED:
         raise LandmarkNavError(f'{pan.name} turns the camera about no upright axis')
     center, camera = _along(chain[number + 1 :])
     # In a frame with z along the pan axis. The yaw of the camera in it adds to the pan.
-    center, camera = _onto(pan.axis).T @ center, _onto(pan.axis).T @ camera @ BODY_FROM_OPTICAL.T
+    center, camera = of_axis.T @ center, of_axis.T @ camera @ BODY_FROM_OPTICAL.T
     yaw = math.atan2(camera[1, 0], camera[0, 0])
     tilt = math.asin(min(max(float(camera[2, 0]), -1.0), 1.0))
     roll = math.atan2(camera[2, 1], camera[2, 2])
     for other in others:
         between = chain[number + 1 : chain.index(other) + 1]
-        left = rot_z(-yaw) @ _onto(pan.axis).T @ _along(between)[1] @ other.axis
+        left = rot_z(-yaw) @ of_axis.T @ _along(between)[1] @ other.axis
         if len(others) > 1 or abs(left[1]) < _ALIGNED:
             raise LandmarkNavError(f'{other.name} moves the camera too: neither pan nor tilt')
         if left[1] > 0.0:
@@ -107,7 +108,7 @@ def robot_of_urdf(text: str, camera_frame: str = '') -> dict[str, Any]:
     if others:
         # The tilt turns the camera about the origin of the mount: it is put as high as its axis.
         to_tilt, _ = _along(chain[number + 1 : chain.index(others[0]) + 1])
-        rise = np.array([0.0, 0.0, (_onto(pan.axis).T @ to_tilt)[2]])
+        rise = np.array([0.0, 0.0, (of_axis.T @ to_tilt)[2]])
         place, center = place + upright @ rise, center - rise
     axis = upright @ rot_z(yaw)
     document: dict[str, Any] = {
@@ -179,9 +180,14 @@ def _chain(joints: dict[str, _Joint], frame: str) -> list[_Joint]:
     return chain[::-1]
 
 
+def _sliding(chain: Sequence[_Joint]) -> list[str]:
+    """Names of the joints of a chain that may move otherwise than by turning."""
+    return [joint.name for joint in chain if joint.kind not in (*_TURNING, 'fixed')]
+
+
 def _turning(chain: Sequence[_Joint]) -> list[_Joint]:
     """Joints of a chain that may move."""
-    if sliding := [joint.name for joint in chain if joint.kind not in (*_TURNING, 'fixed')]:
+    if sliding := _sliding(chain):
         raise LandmarkNavError(f'{sliding[0]} moves the camera too: only pan and tilt may')
     return [joint for joint in chain if joint.kind in _TURNING]
 
