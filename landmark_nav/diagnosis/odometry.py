@@ -36,9 +36,8 @@ def unit_of(factor: float, units: Mapping[str, float] = _UNITS) -> str:
 
 def steps_of(stream: Stream) -> tuple[FloatArray, FloatArray]:
     """Times (n,) and values (n, 5) at about equal steps of `_STEP_S` or more."""
-    times = stream.seconds
-    rising = np.append(True, np.diff(times) > 0.0)
-    times, values = times[rising], stream.values[rising]
+    times, order = np.unique(stream.seconds, return_index=True)
+    values = stream.values[order]
     period = float(np.median(np.diff(times))) if len(times) > 1 else _STEP_S
     every = max(1, round(_STEP_S / max(period, 1e-3)))
     return times[::every], values[::every]

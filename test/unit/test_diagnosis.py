@@ -28,7 +28,7 @@ from landmark_nav.diagnosis.motion import (
     ODOMETRY,
     Track,
 )
-from landmark_nav.diagnosis.odometry import check_twist
+from landmark_nav.diagnosis.odometry import check_speed, check_twist
 from landmark_nav.diagnosis.parts import (
     check_content,
     frozen_values,
@@ -38,7 +38,7 @@ from landmark_nav.diagnosis.parts import (
     repeated_values,
 )
 from landmark_nav.diagnosis.stamps import check_stamps
-from landmark_nav.diagnosis.streams import Stream
+from landmark_nav.diagnosis.streams import Stream, two_sources
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.matching.strips import StripView
 from landmark_nav.storage.bags import Bag, sensor_events
@@ -368,6 +368,38 @@ def found_in_sweep(pushed_rad, passing=0):
     every = Motion(seconds[first], seconds[second], turns, pan, None)
     one, wide = every.only(second == first + 1), every.only(second > first + 1)
     return moved_between(one, lambda: wide)
+
+
+def _pans(stamps_s, logged_s, angles):
+    order = np.argsort(logged_s, kind='stable')
+    stamps, logged = (np.round(1e9 * t[order]).astype(np.int64) for t in (stamps_s, logged_s))
+    return Stream('joint_states', '', stamps, logged, angles[order, None])
+
+
+def test_messages_that_arrive_in_another_order_come_from_one_source():
+    stamps = np.arange(0.0, 20.0, 0.03)
+    late = stamps + np.random.default_rng(2).uniform(0.0, 0.4, len(stamps))
+    assert two_sources(_pans(stamps, late, np.sin(stamps)), (0,)) is None
+
+
+@pytest.mark.parametrize('behind_s', [0.0, 1000.0])
+def test_two_sources_are_separated_even_if_each_has_its_own_clock(behind_s):
+    times = np.arange(0.0, 20.0, 0.03)
+    second = np.arange(len(times)) % 3 == 0
+    angles = np.where(second, 1.5 - 0.05 * times, np.sin(times))
+    main, other = two_sources(_pans(times - behind_s * second, times, angles), (0,))
+    assert main.keep.tolist() == (~second).tolist()
+    assert other.keep.tolist() == second.tolist()
+
+
+def test_the_speed_of_odometry_that_arrives_in_another_order_is_that_of_its_stamps():
+    stamps = np.arange(0.0, 20.0, 0.05)
+    order = np.argsort(stamps + np.random.default_rng(3).uniform(0.0, 0.4, len(stamps)))
+    nanoseconds = np.repeat(np.round(1e9 * stamps[order]).astype(np.int64), 2)
+    values = np.zeros((len(nanoseconds), 5))
+    values[:, 0] = 0.3e-9 * nanoseconds
+    found = check_speed(Stream('odom', '', nanoseconds, nanoseconds, values))
+    assert found.values['speed_m_s'] == pytest.approx(0.3, rel=0.01)
 
 
 def test_a_base_that_is_pushed_in_a_sweep_is_seen():
