@@ -214,16 +214,12 @@ class Calibration:
         prior, off = self.covariance.copy(), values - rows @ self.values
         known = np.einsum('mi,ij,mj->m', rows, prior, rows)
         sigmas = np.sqrt(np.diag(covariance))
+        wrong = (known <= 0.0) & (np.abs(off) > _CONTRADICTION * sigmas)
+        if wrong.any():
+            raise LandmarkNavError(_contradiction(rows[wrong], off[wrong], sigmas[wrong]))
         for row, size, spread, sigma in zip(rows, off, known, sigmas, strict=True):
             if spread <= 0.0:
-                if abs(size) <= _CONTRADICTION * sigma:
-                    continue
-                names = [name for name, part in zip(NAMES, row, strict=True) if abs(part) > 0.5]
-                raise LandmarkNavError(
-                    f'robot.yaml gives {" and ".join(names)} as exact (sigma 0), and the images '
-                    f'show {shown(size, sigma, UNITS[names[0]])} beside it: fix the value, or '
-                    'give a sigma'
-                )
+                continue
             loose = row**2 * (np.diag(prior) > 0.0)
             # Variance of the prior by its error, and the error by its variance, in turn.
             error, factor = size, 1.0
@@ -315,3 +311,14 @@ def shown(value: float, sigma: float, unit: str) -> str:
     # A digit of the sigma at least.
     digits = max(2, -int(np.floor(np.log10(max(factor * sigma, 1e-6)))))
     return f'{factor * value:+.{digits}f} +- {factor * sigma:.{digits}f} {name}'
+
+
+def _contradiction(rows: FloatArray, off: FloatArray, sigmas: FloatArray) -> str:
+    """Message for measured combinations (m, n) of exact values that are off: the two worst."""
+    parts = []
+    for k in np.argsort(-np.abs(off) / sigmas)[:2]:
+        names = [name for name, part in zip(NAMES, rows[k], strict=True) if abs(part) > 0.5]
+        parts.append(f'{" and ".join(names)} by {shown(off[k], sigmas[k], UNITS[names[0]])}')
+    more = [f'{len(off) - 2} more'] if len(off) > 2 else []
+    wrong = '; '.join([*parts, *more])
+    return f'images contradict exact values: {wrong}: fix robot.yaml, or give sigmas'

@@ -147,6 +147,18 @@ def test_a_wrong_principal_point_is_not_taken_for_a_camera_off_its_axis():
     assert found.sweep.frames[0].camera.cx == pytest.approx(99.5, abs=0.5)
 
 
+def test_a_wrong_exact_offset_of_the_camera_is_not_blamed_on_the_focal_length():
+    true = PanTiltMount((0.0, 0.0, 1.2), optical_center_offset=(0.03, -0.02, 0.0))
+    sweep, range_m = off_axis_sweep(true, np.array([1.4, 1.2, 0.5]))
+    centred = replace(true, optical_center_offset=(0.0, 0.0, 0.0))
+    prior = Calibration.of_mount(centred, dict.fromkeys(NAMES, 0.0))
+    found = calibrate_sweep(sweep, prior)
+    assert not found.calibration.sigmas.any()
+    with pytest.raises(LandmarkNavError, match='center_x') as refused:
+        calibrate_sweep(sweep, prior, range_m, found)
+    assert 'focal_scale' not in str(refused.value)
+
+
 def cupboard(center, normal, width):
     """What stands before a wall and is lower than the camera."""
     texture = smooth_texture(np.random.default_rng(3), width, 1.1, 0.05)

@@ -23,7 +23,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtri
 
-from landmark_nav.calibration import Calibration, NAMES
+from landmark_nav.calibration import Calibration, DEFAULT_SIGMAS, NAMES
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.se2 import rotation_rpy
@@ -90,7 +90,7 @@ def calibrate_sweep(
     """
     Calibrate camera and mount from a sweep; by the prior alone if frames share too little.
 
-    Raises `LandmarkNavError`: a term contradicts an exact value.
+    Raises `LandmarkNavError`: with ranges, a term contradicts an exact value.
 
     Parameters
     ----------
@@ -119,7 +119,11 @@ def calibrate_sweep(
     if range_m is not None:
         free += [_FORWARD, _LEFT, _PRINCIPAL]
     fit = problem.fit(sorted(free), _UNIT_SIGMA_RAD)
-    after, shown = with_overlaps(prior, prior, fit), np.diag(fit.covariance) > 0.0
+    # Exact values are judged once ranges are known: before, the parallax of a wrong offset of the
+    # optical centre looks like another focal length.
+    loose = DEFAULT_SIGMAS * ((prior.sigmas == 0.0) & (range_m is None))
+    before = prior.widened(dict(zip(NAMES, loose.tolist(), strict=True)))
+    after, shown = with_overlaps(before, before, fit), np.diag(fit.covariance) > 0.0
     common = np.where(shown, (after.values - prior.values)[CORRECTED], 0.0)
     covariance = after.covariance[np.ix_(CORRECTED, CORRECTED)] * np.outer(shown, shown)
     # Whether the overlaps contradict the values before: chi-square of all terms together.
