@@ -13,6 +13,8 @@ from landmark_nav.messages.factory import default_typestore
 
 __all__ = ['changed_bytes', 'changed_message', 'changed_yaml']
 
+# A new store compiles its serialisers anew.
+_STORE = default_typestore()
 _WORDS = (
     b'!!int zz', b'!!float x', b'!!bool 7', b'!!timestamp q', b'!!python/object:os.system',
     b'&a [*a]', b'&a', b'*a', b'<<: *a', b'9' * 400, b'1e400', b'-1', b'0', b'.nan', b'-.inf',
@@ -105,7 +107,7 @@ def changed_message(draw: st.DrawFn, type_name: str, valid: Any, most: int = 3) 
 
 def _as_rosbags(type_name: str, message: Any) -> Any:
     """Copy of a message in rosbags' own, mutable, form."""
-    fields = default_typestore().fielddefs[type_name][1]
+    fields = _STORE.fielddefs[type_name][1]
     copied = {name: _copied_field(kind, getattr(message, name)) for name, kind in fields}
     return _Message(type_name, copied)
 
@@ -135,7 +137,7 @@ def _dtype(name: str) -> Any:
 
 
 def _change(draw: st.DrawFn, type_name: str, message: Any) -> None:
-    name, description = draw(st.sampled_from(default_typestore().fielddefs[type_name][1]))
+    name, description = draw(st.sampled_from(_STORE.fielddefs[type_name][1]))
     kind, content = description
     value = getattr(message, name)
     if kind == Nodetype.NAME:
