@@ -99,6 +99,11 @@ def degraded(bag: Bag, name: str, fault: Fault, at_s: float) -> Iterator[tuple[s
             yield topic, message, log
 
 
+def recorded(path: Path | str) -> list[tuple[str, Any, int]]:
+    """Topics, messages and times of recording of a bag, to be changed and written again."""
+    return [(entry.topic, entry.message, entry.stamp_ns) for entry in Bag(path).messages()]
+
+
 def write_bag(path: Path, messages: Iterable[tuple[str, Any, int]]) -> Path:
     """Write messages, each with its topic and time of recording, in the order of that."""
     with BagWriter(path) as written:

@@ -5,6 +5,7 @@ import json
 import re
 
 import cv2
+from drive_faults import recorded as sent
 from drive_faults import write_bag
 from harness import BAGS, start_of
 from message_changes import at_origin, driven, moved
@@ -12,7 +13,6 @@ import numpy as np
 import pytest
 
 from landmark_nav.cli.main import main
-from landmark_nav.storage.bags import Bag
 
 ROBOT, ROOM = str(BAGS / 'robot.yaml'), str(BAGS / 'room.yaml')
 START = tuple(map(str, start_of(BAGS)))
@@ -20,8 +20,7 @@ START = tuple(map(str, start_of(BAGS)))
 
 def rewrite(source, target, change):
     """Copy a bag; `change` gets topic, message and log time, and may leave it out with None."""
-    entries = ((e.topic, e.message, e.stamp_ns) for e in Bag(source).messages())
-    changed = ((topic, change(topic, message, log), log) for topic, message, log in entries)
+    changed = ((topic, change(topic, message, log), log) for topic, message, log in sent(source))
     return str(write_bag(target, (one for one in changed if one[1] is not None)))
 
 

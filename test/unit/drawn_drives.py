@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -23,7 +23,7 @@ from landmark_nav.localization.odometry.noise import (
     sensed_variances,
     slip_variance,
 )
-from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate
+from landmark_nav.types import FloatArray, LandmarkMap, OdometrySample, PoseEstimate
 
 NS = 10**9
 MOUNT = PanTiltMount((0.08, 0.0, 1.1))
@@ -148,6 +148,19 @@ def _panned(seconds: float, count: int, sigma: float) -> ImagePoints:
         np.tile(max(sigma, 1e-9) ** 2 * np.eye(2), (count, 1, 1)),
         np.full(count, 2.0 * np.sin(0.5 * seconds)), pan_rate_rad_s=np.cos(0.5 * seconds),
     )  # fmt: skip
+
+
+def sensed(drive: Drive) -> Iterator[OdometrySample | ImagePoints]:
+    """A drive as a robot sends it: odometry from an origin of its own, and images."""
+    pose, stamp = np.zeros(3), 0
+    yield OdometrySample(stamp, pose)
+    for event in drive.events:
+        if isinstance(event, Motion):
+            stamp, pose = stamp + round(event.seconds * NS), compose(pose, event.increment)
+            forward, _, turn = (event.increment / event.seconds).tolist()
+            yield OdometrySample(stamp, pose, forward, turn)
+        else:
+            yield event
 
 
 @dataclass
