@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from landmark_nav.cli.main import main
+from landmark_nav.storage.bags import Bag
 
 ROBOT, ROOM = str(BAGS / 'robot.yaml'), str(BAGS / 'room.yaml')
 START = tuple(map(str, start_of(BAGS)))
@@ -133,7 +134,11 @@ def test_unknown_cameras_and_encodings_are_refused_by_name(tmp_path, capsys, top
 def test_truth_in_another_frame_or_unit_is_named(
     recorded, tmp_path, caplog, recwarn, change, reported
 ):
+    half_ns = Bag(BAGS / 'drive').start_ns + 7 * 10**9
+
     def of_truth(topic, message, log_ns):
+        if log_ns > half_ns:
+            return None
         return change(message) if topic == '/ground_truth/odom' else message
 
     bag = rewrite(BAGS / 'drive', tmp_path / 'truth', of_truth)
@@ -143,7 +148,7 @@ def test_truth_in_another_frame_or_unit_is_named(
     assert bool(re.search('ground_truth.* frame', said)) == bool(reported)
     assert re.search(reported, said)
     assert 'Warning: ' not in said
-    assert json.loads(report.read_text())['frames'] > 60
+    assert json.loads(report.read_text())['frames'] > 30
 
 
 def test_sweeps_show_what_camera_info_and_robot_yaml_are_off_by(few, tmp_path):
