@@ -10,7 +10,6 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from scipy.spatial.transform import Rotation
 
 from landmark_nav.calibration import Calibration
-from landmark_nav.cli.main import main
 from landmark_nav.diagnosis import diagnose
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
@@ -235,14 +234,6 @@ def test_a_namespace_is_found_and_reported_once(tmp_path):
     found, warnings = pans(path)
     np.testing.assert_allclose(found, PANS)
     assert sum('is taken for odom' in warning for warning in warnings) == 1
-
-
-@pytest.mark.parametrize('value', ['odom', 'odom=', 'wheels=/odom', '=/odom'])
-def test_a_topic_that_is_no_name_of_ours_is_wrong_usage(capsys, value):
-    assert (
-        main(['learn', 'bag', '--topic', value, '--robot', 'x', '--room', 'y', '--out', 'z']) == 2
-    )
-    assert 'is not NAME=TOPIC' in capsys.readouterr().err
 
 
 MS = 1_000_000
