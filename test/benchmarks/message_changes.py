@@ -27,6 +27,17 @@ NS = 10**9
 Change = Callable[[Any], Any]
 
 
+def first_seen() -> Change:
+    """Return a memory: it gives the first value that it was given, whatever comes later."""
+    kept: list[Any] = []
+
+    def first(value: Any) -> Any:
+        kept.append(value)
+        return kept[0]
+
+    return first
+
+
 # When
 
 
@@ -102,23 +113,15 @@ def later(seconds: float) -> Change:
 
 def set_forward(seconds: float, after_s: float) -> Change:
     """The clock of all streams that are changed is set, some time after the first message."""
-    first: list[int] = []
-
-    def shown(stamp: int) -> int:
-        first.append(stamp)
-        return stamp + round(seconds * NS) * (stamp - first[0] > after_s * NS)
-
-    return stamps(shown)
+    first = first_seen()
+    return stamps(
+        lambda stamp: stamp + round(seconds * NS) * (stamp - first(stamp) > after_s * NS)
+    )
 
 
 def drifting(share: float) -> Change:
-    first: list[int] = []
-
-    def drifted(stamp: int) -> int:
-        first.append(stamp)
-        return first[0] + round((stamp - first[0]) * (1.0 + share))
-
-    return stamps(drifted)
+    first = first_seen()
+    return stamps(lambda stamp: first(stamp) + round((stamp - first(stamp)) * (1.0 + share)))
 
 
 def shaken(spread_s: float) -> Change:
@@ -151,24 +154,18 @@ def field(name: str, change: Callable[[Any], Any]) -> Change:
 
 def frozen(name: str) -> Change:
     """The value of a field stays, with new stamps."""
-    first: list[Any] = []
+    first = first_seen()
 
     def change(message: Any) -> Any:
-        first.append(copy.deepcopy(getattr(message, name)))
-        setattr(message, name, copy.deepcopy(first[0]))
+        setattr(message, name, copy.deepcopy(first(copy.deepcopy(getattr(message, name)))))
         return message
 
     return change
 
 
 def repeated() -> Change:
-    first: list[Any] = []
-
-    def change(message: Any) -> Any:
-        first.append(message)
-        return copy.deepcopy(first[0])
-
-    return change
+    first = first_seen()
+    return lambda message: copy.deepcopy(first(message))
 
 
 def no_number(message: Any) -> Any:
@@ -339,14 +336,12 @@ def moved(x: float, y: float, turn: float) -> Change:
 
 def turned_by_hand(turn: float) -> Change:
     """The wheels claim a turn that nobody made, as if it were made without them knowing."""
-    offset: list[FloatArray] = []
+    first = first_seen()
 
-    def change(pose: FloatArray) -> FloatArray:
-        if not offset:
-            offset.append(se2.compose(se2.compose(pose, [0.0, 0.0, turn]), se2.inverse(pose)))
-        return se2.compose(offset[0], pose)
+    def offset(pose: FloatArray) -> Any:
+        return first(se2.compose(se2.compose(pose, [0.0, 0.0, turn]), se2.inverse(pose)))
 
-    return poses(change)
+    return poses(lambda pose: se2.compose(offset(pose), pose))
 
 
 def jittering(position_m: float, heading_rad: float) -> Change:
@@ -358,13 +353,8 @@ def jittering(position_m: float, heading_rad: float) -> Change:
 
 def from_zero() -> Change:
     """Odometry that begins anew where it is."""
-    first: list[FloatArray] = []
-
-    def change(pose: FloatArray) -> FloatArray:
-        first.append(pose)
-        return se2.relative(first[0], pose)
-
-    return poses(change)
+    first = first_seen()
+    return poses(lambda pose: se2.relative(first(pose), pose))
 
 
 def driven(x: float = 1.0, y: float = 1.0, yaw: float = 1.0, twist: float = 1.0) -> Change:
