@@ -1,7 +1,5 @@
 """Every file format that is read, with hostile contents: it is read, or refused in one line."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from copy import deepcopy
 from pathlib import Path

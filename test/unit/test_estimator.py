@@ -232,7 +232,7 @@ def displaced(rad, at):
 
 
 def test_a_knock_of_the_camera_is_noticed_at_once():
-    run = driven(simulated(4, seconds=24.0), changed=displaced(0.05, 60))  # type: ignore[arg-type]
+    run = driven(simulated(4, seconds=24.0), changed=displaced(0.05, 60))
     steps = [update.stamp_ns for update in run.updates if update.stepped]
     assert len(steps) == 1
     assert 0 <= steps[0] - 61 * NS // 5 <= NS
@@ -319,7 +319,7 @@ def test_what_is_no_measurement_changes_nothing(change):
     run = driven(drive)
     before = run.filter.state
     seen = next(event for event in drive.events if isinstance(event, ImagePoints))
-    update = run.filter.observe(change(seen))  # type: ignore[operator]
+    update = run.filter.observe(change(seen))
     assert len(update.columns) == 0
     assert (run.filter.state.mean == before.mean).all()
     assert (run.filter.state.covariance == before.covariance).all()

@@ -1,7 +1,5 @@
 """Figures: maps, panoramas and runs, and those of the paper from recorded data."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 from builders import bare_landmark, detections_of, panorama_of
@@ -11,10 +9,7 @@ import pytest
 from scenes import rectangle_room
 
 from landmark_nav.cli.main import main
-from landmark_nav.evaluation.figures import (
-    draw_errors,
-    draw_trajectory,
-)
+from landmark_nav.evaluation.figures import draw_errors, draw_trajectory
 from landmark_nav.evaluation.figures.stereo_figure import ray_sigma_m
 from landmark_nav.evaluation.metrics import PoseTrack
 from landmark_nav.evaluation.replay import Replay
@@ -23,11 +18,7 @@ from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.localization.localizer import LocalizationUpdate
 from landmark_nav.localization.observer import Observation
 from landmark_nav.storage.maps import write_map
-from landmark_nav.types import (
-    LandmarkMap,
-    PoseEstimate,
-    Refusal,
-)
+from landmark_nav.types import LandmarkMap, PoseEstimate, Refusal
 
 WALLS = rectangle_room(5.0, 4.0, ()).walls
 

@@ -1,7 +1,5 @@
 """Fusion of odometry, images and global poses in the order in which a node receives them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from builders import pose_error
@@ -78,7 +76,7 @@ def test_messages_lose_nothing():
             found = decode.detections(over_the_wire(encode.detections(FACTORY, what[0])))
             what = found, what[1]
         take(reported, what)
-    assert reported.estimate().pose == pytest.approx(direct.estimate().pose, abs=1e-12)  # type: ignore[union-attr]
+    assert reported.estimate().pose == pytest.approx(direct.estimate().pose, abs=1e-12)
     assert np.abs(error(direct, drive)[:2]).max() < 0.02
     stamp = round(6.0 * NS)
     expected, sample = direct.expectation(stamp), OdometrySample(stamp, np.zeros(3), 0.3, -0.2)
@@ -293,7 +291,7 @@ def test_the_same_map_again_changes_nothing():
         take(same, what)
         if not k % 20:
             same.change_map(replace(drive.landmark_map))
-    assert same.estimate().covariance == pytest.approx(fusion.estimate().covariance)  # type: ignore[union-attr]
+    assert same.estimate().covariance == pytest.approx(fusion.estimate().covariance)
 
 
 def test_a_place_found_in_a_pan_motion_has_an_uncertain_heading():

@@ -1,7 +1,5 @@
 """Layouts of RViz, Foxglove and PlotJuggler, and what markers show in them."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any

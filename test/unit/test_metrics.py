@@ -1,5 +1,3 @@
-from __future__ import annotations
-
 from builders import bare_landmark, nees, panorama_of, pose_error
 from drawn_drives import driven, MOUNT, NS, sensed, simulated
 from hypothesis import given

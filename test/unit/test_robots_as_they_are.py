@@ -238,7 +238,6 @@ def test_a_namespace_is_found_and_reported_once(tmp_path):
 
 MS = 1_000_000
 
-
 STEP_MS = 5
 
 
