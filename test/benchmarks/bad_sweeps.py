@@ -12,10 +12,7 @@ or if something is refused for another reason than its own, or not reported.
 what is said of it. It exits with 1 if a cause is not named.
 """
 
-from __future__ import annotations
-
 import argparse
-from collections.abc import Callable, Iterator, Sequence
 import contextlib
 import copy
 from dataclasses import dataclass, replace
@@ -34,7 +31,7 @@ import numpy as np
 from landmark_nav.cli.main import main as landmark_nav
 from landmark_nav.evaluation.learning_report import truth_of_bag
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.geometry.walls import Room, Wall
+from landmark_nav.geometry.walls import Room
 from landmark_nav.messages.factory import rosbag_factory
 from landmark_nav.simulation.furnishing import generate_scene
 from landmark_nav.simulation.renderer import Renderer
@@ -44,7 +41,7 @@ from landmark_nav.simulation.world import DEFAULT_CAMERA, DEFAULT_MOUNT, RobotWo
 from landmark_nav.storage.bags import Bag, BagWriter, read_sweeps
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.setup_files import load_robot, load_room
-from landmark_nav.types import CameraFrame, FloatArray, PoseEstimate, Sweep
+from landmark_nav.types import FloatArray, PoseEstimate, Sweep
 
 # A landmark is wrong if it lies farther off than so many of its standard deviations, and this.
 MAX_SIGMAS, MAX_ERROR_M = 5.0, 0.03
@@ -80,12 +77,12 @@ class TiltedWorld(RobotWorld):
 
     tilt_rad = 0.0
 
-    def command_pan(self, pan_rad: float, tilt_rad: float = 0.0) -> None:
+    def command_pan(self, pan_rad, tilt_rad=0.0):
         """Turn, tilted."""
         super().command_pan(pan_rad, tilt_rad + self.tilt_rad)
 
 
-def moved_wall(room: Room, k: int, shift_m: float, turn_rad: float = 0.0) -> Room:
+def moved_wall(room, k, shift_m, turn_rad=0.0):
     """Room whose wall k stands `shift_m` farther in, and is turned about its middle."""
     start, end = (np.array(point) for point in (room.walls[k].start, room.walls[k].end))
     middle, along = 0.5 * (start + end), end - start
@@ -93,7 +90,7 @@ def moved_wall(room: Room, k: int, shift_m: float, turn_rad: float = 0.0) -> Roo
     along = np.cos(turn_rad) * along + np.sin(turn_rad) * normal * np.linalg.norm(along)
     middle = middle + shift_m * normal
 
-    def met_by(other: Wall) -> tuple[float, float]:
+    def met_by(other):
         side = np.subtract(other.end, other.start)
         share = np.linalg.solve(np.stack([along, -side], 1), np.subtract(other.start, middle))[0]
         x, y = middle + share * along
@@ -107,7 +104,7 @@ def moved_wall(room: Room, k: int, shift_m: float, turn_rad: float = 0.0) -> Roo
     return replace(room, walls=tuple(walls))
 
 
-def cases(seed: int) -> list[Case]:
+def cases(seed):
     """All that may go wrong in one room."""
     scene = generate_scene(seed)
     places = choose_sweep_places(scene)
@@ -115,7 +112,7 @@ def cases(seed: int) -> list[Case]:
     here, there = places.poses
     papers = scene.room.papers
 
-    def lit(change: Callable[[int, Lamp], Lamp]) -> Scene:
+    def lit(change):
         return replace(scene, lamps=tuple(change(k, lamp) for k, lamp in enumerate(scene.lamps)))
 
     dim = lit(lambda k, lamp: replace(lamp, power=(0.1 if k == 0 else 0.7) * lamp.power))
@@ -175,7 +172,7 @@ def cases(seed: int) -> list[Case]:
     ]  # fmt: skip
 
 
-def record(case: Case, folder: Path, seed: int) -> None:
+def record(case, folder, seed):
     """Write the bag of sweeps and what the robot is given."""
     factory = rosbag_factory()
     start_ns = 1_000_000_000_000
@@ -195,7 +192,7 @@ def record(case: Case, folder: Path, seed: int) -> None:
     (folder / 'robot.yaml').write_text(robot_document(case.given_mount), encoding='utf-8')
 
 
-def learn(folder: Path) -> tuple[str, str]:
+def learn(folder):
     """Refusal of the command, or nothing; and what it warned of."""
     output, warned = io.StringIO(), io.StringIO()
     handler = logging.StreamHandler(warned)
@@ -212,7 +209,7 @@ def learn(folder: Path) -> tuple[str, str]:
     return lines[-1] if status else '', warned.getvalue()
 
 
-def judge(case: Case, folder: Path, seed: int) -> tuple[bool, str]:
+def judge(case, folder, seed):
     """Whether it went as it should, and what came of it."""
     record(case, folder, seed)
     refusal, warned = learn(folder)
@@ -250,25 +247,25 @@ class Given:
     mount: PanTiltMount
     sweeps: tuple[Sweep, ...]
 
-    def paper(self, k: int, **changes: object) -> Given:
+    def paper(self, k, **changes):
         """The same with values of one paper changed."""
         papers = list(self.room.papers)
-        papers[k] = replace(papers[k], **changes)  # type: ignore[arg-type]
+        papers[k] = replace(papers[k], **changes)
         return replace(self, room=replace(self.room, papers=tuple(papers)))
 
-    def hung(self, k: int, left_m: float = 0.0, up_m: float = 0.0, in_m: float = 0.0) -> Given:
+    def hung(self, k, left_m=0.0, up_m=0.0, in_m=0.0):
         """The same with a paper given elsewhere: left along its wall, up, into the room."""
         paper = self.room.papers[k]
         wall = self.room.walls[int(self.room.nearest_wall(np.array(paper.center[:2])))]
         x, y = np.array(paper.center[:2]) + left_m * wall.along + in_m * wall.normal[:2]
         return self.paper(k, center=(float(x), float(y), paper.center[2] + up_m))
 
-    def sized(self, k: int, scale: float) -> Given:
+    def sized(self, k, scale):
         """The same with a paper given larger."""
         paper = self.room.papers[k]
         return self.paper(k, width=scale * paper.width, height=scale * paper.height)
 
-    def redrawn(self, axes: Sequence[float] = (1.0, 1.0, 1.0), sheets: float = 1.0) -> Given:
+    def redrawn(self, axes=(1.0, 1.0, 1.0), sheets=1.0):
         """The plan with its axes scaled, mirrored, and its sheets; walls go round as before."""
         x, y, z = axes
         walls = tuple(
@@ -293,26 +290,26 @@ class Given:
         )
         return replace(self, room=replace(self.room, walls=walls, papers=papers))
 
-    def frames(self, change: Callable[[CameraFrame], CameraFrame]) -> Given:
+    def frames(self, change):
         """The same with all frames changed."""
         sweeps = (replace(s, frames=tuple(map(change, s.frames))) for s in self.sweeps)
         return replace(self, sweeps=tuple(sweeps))
 
-    def pans(self, change: Callable[[float], float]) -> Given:
+    def pans(self, change):
         """The same with other pan angles."""
         return self.frames(lambda frame: replace(frame, pan_rad=float(change(frame.pan_rad))))
 
-    def focal(self, scale: float) -> Given:
+    def focal(self, scale):
         """The same with another focal length."""
 
-        def scaled(frame: CameraFrame) -> CameraFrame:
+        def scaled(frame):
             camera = frame.camera
             camera = replace(camera, fx=scale * camera.fx, fy=scale * camera.fy)
             return replace(frame, camera=camera)
 
         return self.frames(scaled)
 
-    def posed(self, poses: Sequence[FloatArray], covariance: FloatArray) -> Given:
+    def posed(self, poses, covariance):
         """The same with ``sweep/pose``."""
         return replace(
             self,
@@ -323,7 +320,7 @@ class Given:
         )
 
 
-def errors_of(given: Given, poses: Sequence[FloatArray]) -> Iterator[tuple[str, Given, str]]:
+def errors_of(given, poses):
     """Names of errors, what is given with them, and what must be said; `poses` are true."""
     papers, mount = given.room.papers, given.mount
     colors = [paper.color for paper in papers]
@@ -394,7 +391,7 @@ def errors_of(given: Given, poses: Sequence[FloatArray]) -> Iterator[tuple[str, 
     yield f'further: {last} given as yellow', wrong, text
 
 
-def check_errors(folder: Path, only: str) -> int:
+def check_errors(folder, only):
     """Print what is found of each error, and count those that are not named."""
     room, mount = load_room(folder / 'room.yaml'), load_robot(folder / 'robot.yaml')
     bag = Bag(folder / 'learn')
@@ -420,7 +417,7 @@ def check_errors(folder: Path, only: str) -> int:
     return missed
 
 
-def main() -> int:
+def main():
     """Print a line a case."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--seed', type=int, default=5100)

@@ -16,10 +16,7 @@ NEES of the calibration over its 16 values, and the errors of localization with 
 the true mount.
 """
 
-from __future__ import annotations
-
 import argparse
-from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import partial
 import logging
@@ -38,7 +35,6 @@ from landmark_nav.evaluation.metrics import (
     pose_errors,
     undetected_failures,
 )
-from landmark_nav.evaluation.replay import Replay
 from landmark_nav.evaluation.run_report import bound_of
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig
 from landmark_nav.learning.reference_area.faults import PaperRecord
@@ -46,11 +42,11 @@ from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
 from landmark_nav.learning.sweep_pipeline import next_prior, panorama_from_sweep, PanoramaStages
 from landmark_nav.localization.localizer import LocalizationConfig
 from landmark_nav.simulation.world import DEFAULT_MOUNT
-from landmark_nav.storage.bags import Bag, read_sweeps, sensor_events, SensorEvent
+from landmark_nav.storage.bags import Bag, read_sweeps, sensor_events
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.robot_files import load_calibration, save_calibration
 from landmark_nav.storage.setup_files import load_room
-from landmark_nav.types import CameraFrame, FloatArray, LandmarkMap
+from landmark_nav.types import CameraFrame
 
 DEGREE = np.pi / 180.0
 # By how much `robot.yaml` is wrong.
@@ -94,7 +90,7 @@ class Line:
     undetected: int
 
     @classmethod
-    def of(cls, run: Replay, landmarks: LandmarkMap, known: Calibration) -> Line:
+    def of(cls, run, landmarks, known):
         """Return those of a run with this prior calibration."""
         errors = pose_errors(run.fused, run.truth.at(run.stamps_ns))
         steps = np.hypot(*np.diff(run.odometry.poses[:, :2], axis=0).T)
@@ -111,13 +107,13 @@ class Line:
             undetected_failures(errors, run.fused_covariances, run.tracking),
         )
 
-    def __str__(self) -> str:
+    def __str__(self):
         return (
             f'{self.position_mm:6.1f} {self.heading_deg:6.3f} {self.later_mm:6.1f} '
             f'{self.later_deg:6.3f} {self.nees:7.1f} {self.undetected:4d}'
         )
 
-    def meets(self, goal: tuple[float, float]) -> bool:
+    def meets(self, goal):
         """Whether errors after the first metres, NEES and undetected failures are as wanted."""
         return bool(
             self.later_mm <= 1e3 * goal[0]
@@ -127,7 +123,7 @@ class Line:
         )
 
 
-def learned(study: Path, calibration: Calibration, folder: Path) -> LandmarkMap | None:
+def learned(study, calibration, folder):
     """Map of the study learned with a mount; None where `learn` refuses it."""
     folder.mkdir()
     save_calibration(calibration, folder / 'robot.yaml')
@@ -147,7 +143,7 @@ class DrawnRoom:
     changed to what this robot would send.
     """
 
-    def __init__(self, seed: int, seconds: float, folder: Path, sigmas: dict[str, float]) -> None:
+    def __init__(self, seed, seconds, folder, sigmas):
         rng = np.random.default_rng([seed, 70])
         nominal = Calibration.of_mount(DEFAULT_MOUNT)
         off = {k: nominal[k][0] + float(rng.normal(0.0, s)) for k, s in sigmas.items()}
@@ -160,12 +156,12 @@ class DrawnRoom:
         )  # fmt: skip
         self._room = load_room(self._folder / 'room.yaml')
 
-    def _as_given(self, frame: CameraFrame) -> CameraFrame:
+    def _as_given(self, frame):
         """Return a frame with the focal length that camera_info of this robot gives."""
         scale = 1.0 + self.true['focal_scale'][0]
         return replace(frame, camera=frame.camera.adjusted(1.0 / scale))
 
-    def learned(self, given: Calibration) -> Drive:
+    def learned(self, given):
         """Drive with the map of the room, and what is known of the robot then."""
         known, panoramas = given, []
         papers = PaperRecord(self._room, ReferenceAreaConfig())
@@ -180,20 +176,20 @@ class DrawnRoom:
         known, start = landmarks.calibration_from(given), start_of(self._folder)
         return Drive(self._folder / 'drive', landmarks, known, start)
 
-    def events(self, drive: Drive) -> list[SensorEvent]:
+    def events(self, drive):
         """Return what is sensed in the drive."""
         delayed = sensor_events(drive.bag, drive.mount, -self.true['joint_delay'][0])
         return [self._as_given(e) if isinstance(e, CameraFrame) else e for e in delayed]
 
 
-def most_sigmas(off: FloatArray, sigmas: FloatArray) -> str:
+def most_sigmas(off, sigmas):
     """The three quantities that are off by most sigmas."""
     normalized = off / sigmas
     worst = np.argsort(-np.abs(normalized))[:3]
     return ', '.join(f'{NAMES[k]} {normalized[k]:+.1f}' for k in worst)
 
 
-def drawn_line(seed: int, folder: Path, sigmas: dict[str, float]) -> str:
+def drawn_line(seed, folder, sigmas):
     """Learn a room with default sigmas and drive in it for 16 s; a line of figures."""
     robot = DrawnRoom(seed, 16.0, folder, sigmas)
     drive = robot.learned(Calibration.of_mount(DEFAULT_MOUNT))
@@ -208,7 +204,7 @@ def drawn_line(seed: int, folder: Path, sigmas: dict[str, float]) -> str:
     )
 
 
-def room_line(seed: int, folder: Path, seconds: float) -> str:
+def room_line(seed, folder, seconds):
     """Simulate a room with a robot that is drawn, learn and calibrate it; a line of figures."""
     robot = DrawnRoom(seed, seconds, folder, DRAWN_SIGMAS)
     drive = robot.learned(Calibration.of_mount(DEFAULT_MOUNT, DRAWN_SIGMAS))
@@ -234,7 +230,7 @@ def room_line(seed: int, folder: Path, seconds: float) -> str:
     )
 
 
-def print_rooms(seeds: Iterable[int], line: Callable[[int, Path], str]) -> None:
+def print_rooms(seeds, line):
     """Print a line a room."""
     for seed in seeds:
         with tempfile.TemporaryDirectory() as scratch:
@@ -244,7 +240,7 @@ def print_rooms(seeds: Iterable[int], line: Callable[[int, Path], str]) -> None:
                 print(f'{seed}: refused: {error}', flush=True)
 
 
-def main() -> int:
+def main():
     """Print a table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--study', type=Path, default=STUDY)

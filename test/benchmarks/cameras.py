@@ -8,8 +8,6 @@ a rule: errors of the fused pose and of single fixes, availability, and the shar
 a fix. Nothing was tuned on the seeds from 901 on.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import NamedTuple
@@ -26,10 +24,8 @@ from landmark_nav.localization.triplet.planning_scene import CameraState
 from landmark_nav.localization.triplet.selection import ActiveCamera
 from landmark_nav.simulation.drive_path import PathFollower, plan_tour
 from landmark_nav.simulation.furnishing import generate_scene
-from landmark_nav.simulation.renderer import Renderer
-from landmark_nav.simulation.scene import Scene
 from landmark_nav.simulation.world import DEFAULT_CAMERA, DEFAULT_MOUNT, RobotWorld
-from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate, Triplet
+from landmark_nav.types import FloatArray, PoseEstimate, Triplet
 
 STATE_RATE_HZ = 20
 CAMERA_RATE_HZ = 5
@@ -47,7 +43,7 @@ class Run(NamedTuple):
     lost: FloatArray
 
 
-def main() -> int:
+def main():
     """Print the table."""
     parser = rooms_parser(__doc__)
     parser.add_argument('--seconds', type=float, default=30.0, help='of each drive (30)')
@@ -63,7 +59,7 @@ def main() -> int:
     return 0
 
 
-def compare(seed: int, scene: Scene, landmark_map: LandmarkMap, seconds: float) -> dict[str, Run]:
+def compare(seed, scene, landmark_map, seconds):
     """Drive the same way with each rule."""
     rng = np.random.default_rng([seed, 77])
     start = landmark_map.panorama_poses[0].pose[:2]
@@ -84,12 +80,12 @@ def compare(seed: int, scene: Scene, landmark_map: LandmarkMap, seconds: float) 
 class _Active:
     """Looks at the triplet that is best, chosen anew every half second."""
 
-    def __init__(self, landmark_map: LandmarkMap, config: LocalizationConfig) -> None:
+    def __init__(self, landmark_map, config):
         self._camera = ActiveCamera(landmark_map, DEFAULT_MOUNT, config.triplet)
         self._pan: float | None = None
         self._until_s = 0.0
 
-    def __call__(self, update: LocalizationUpdate, time_s: float) -> float | None:
+    def __call__(self, update, time_s):
         self._camera.saw(update.observation.detections)
         if time_s >= self._until_s:
             now = CameraState(self._pan)
@@ -102,13 +98,13 @@ class _Active:
 class _Random:
     """Looks at the middle of three landmarks that fit one view, drawn anew every two seconds."""
 
-    def __init__(self, landmark_map: LandmarkMap, seed: int) -> None:
+    def __init__(self, landmark_map, seed):
         self._positions = landmark_map.positions[:, :2]
         self._rng = np.random.default_rng(seed)
         self._target: FloatArray | None = None
         self._until_s = 0.0
 
-    def __call__(self, update: LocalizationUpdate, time_s: float) -> float | None:
+    def __call__(self, update, time_s):
         pan = bearings(update.fused.pose, self._positions)
         if self._target is None or time_s >= self._until_s:
             first = int(self._rng.integers(len(pan)))
@@ -119,16 +115,7 @@ class _Random:
         return float(bearings(update.fused.pose, self._target))
 
 
-def _drive(
-    seed: int,
-    scene: Scene,
-    renderer: Renderer,
-    landmark_map: LandmarkMap,
-    path: FloatArray,
-    seconds: float,
-    config: LocalizationConfig,
-    rule: Rule,
-) -> Run:
+def _drive(seed, scene, renderer, landmark_map, path, seconds, config, rule):
     """Drive along the path and look where the rule says."""
     ahead = path[min(8, len(path) - 1)] - path[0]
     pose = np.array([*path[0], np.arctan2(ahead[1], ahead[0])])
@@ -164,7 +151,7 @@ def _drive(
     return Run(pose_errors(fused, np.array(truth)), pose_errors(fixes, np.array(truth)), lost)
 
 
-def _row(name: str, runs: list[Run]) -> dict[str, float | str]:
+def _row(name, runs):
     fused = np.concatenate([run.fused for run in runs])
     fixes = np.concatenate([run.fixes for run in runs])
     off = summary(fused)

@@ -8,8 +8,6 @@ makes of degraded images. It exits with 1 if a cause that users reported is not 
 than nine in ten of the others are, or if there is an undetected failure.
 """
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 import logging
@@ -20,15 +18,13 @@ import tempfile
 import cv2
 from harness import as_jpeg, BAGS, Drive, drive_parser, learn, start_of, summary
 import numpy as np
-import numpy.typing as npt
-from stream_errors import of_drives, of_sweeps, StreamError, write_drive
+from stream_errors import of_drives, of_sweeps, write_drive
 
 from landmark_nav.arrays import ImageArray
 from landmark_nav.calibration import Calibration
 from landmark_nav.diagnosis import diagnose
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.metrics import pose_errors
-from landmark_nav.evaluation.replay import Replay
 from landmark_nav.simulation.surfaces import light_of, values_of
 from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.robot_files import load_calibration, save_calibration
@@ -41,44 +37,44 @@ Degradation = Callable[[ImageArray, np.random.Generator], ImageArray]
 SURE = 40.0
 
 
-def _as(camera_image: npt.NDArray[np.floating]) -> ImageArray:
+def _as(camera_image):
     return np.asarray(np.clip(camera_image, 0.0, 255.0), np.uint8)
 
 
-def _of_light(mix: Callable[[npt.NDArray[np.uint16]], object], image: ImageArray) -> ImageArray:
+def _of_light(mix, image):
     """What lens and motion mix is light, not values of pixels."""
     return values_of(np.asarray(mix(light_of(image)), np.uint16))
 
 
-def blurred(sigma_px: float) -> Degradation:
+def blurred(sigma_px):
     return lambda image, _: _of_light(
         lambda light: cv2.GaussianBlur(light, (0, 0), sigma_px), image
     )
 
 
-def moved(width_px: int) -> Degradation:
+def moved(width_px):
     kernel = np.full((1, width_px), 1.0 / width_px, np.float32)
     return lambda image, _: _of_light(lambda light: cv2.filter2D(light, -1, kernel), image)
 
 
-def noisy(sigma: float) -> Degradation:
+def noisy(sigma):
     return lambda image, rng: _as(image + rng.normal(0.0, sigma, image.shape))
 
 
-def dimmed(light: float) -> Degradation:
+def dimmed(light):
     return lambda image, _: _as(light * image)
 
 
-def bent(gamma: float) -> Degradation:
+def bent(gamma):
     return lambda image, _: _as(255.0 * (image / 255.0) ** gamma)
 
 
-def compressed(quality: int) -> Degradation:
+def compressed(quality):
     return lambda image, _: as_jpeg(image, quality)
 
 
-def covered(share: float) -> Degradation:
-    def degrade(image: ImageArray, rng: np.random.Generator) -> ImageArray:
+def covered(share):
+    def degrade(image, rng):
         width = round(share * image.shape[1])
         left = int(rng.integers(0, image.shape[1] - width))
         degraded: ImageArray = image.copy()
@@ -105,7 +101,7 @@ CASES: dict[str, Degradation] = {
 }
 
 
-def row(name: str, run: Replay) -> tuple[str, int]:
+def row(name, run):
     """Line of the table, and the number of undetected failures."""
     error = pose_errors(run.fused, run.truth.at(run.stamps_ns))
     weighted = np.linalg.solve(run.fused_covariances, error[..., None])[..., 0]
@@ -118,7 +114,7 @@ def row(name: str, run: Replay) -> tuple[str, int]:
     ), wrong
 
 
-def named(drive: Path, error: StreamError, robot: Path, room: Path) -> tuple[bool, list[str]]:
+def named(drive, error, robot, room):
     """Whether the cause of an error is named, and all that is said; refusals are said, too."""
     known = load_calibration(robot)
     with tempfile.TemporaryDirectory() as scratch:
@@ -139,7 +135,7 @@ def named(drive: Path, error: StreamError, robot: Path, room: Path) -> tuple[boo
     return hit, [finding.line() for finding in findings]
 
 
-def table_of_streams(drive: Path, robot: Path, room: Path) -> bool:
+def table_of_streams(drive, robot, room):
     """Print what is found of each error of a stream; whether enough causes are named."""
     good = True
     lists = {title: (drive, errors) for title, errors in of_drives().items()}
@@ -157,7 +153,7 @@ def table_of_streams(drive: Path, robot: Path, room: Path) -> bool:
     return good
 
 
-def table_of_images(drive: Drive) -> bool:
+def table_of_images(drive):
     """Print what becomes of degraded images; whether there is no undetected failure."""
     events = drive.events()
     print(f'{"images":26}  RMSE mm  p95 mm    deg  NEES  used  undetected')
@@ -174,7 +170,7 @@ def table_of_images(drive: Drive) -> bool:
     return not undetected
 
 
-def main() -> int:
+def main():
     """Print both tables."""
     parser = drive_parser(
         __doc__, drive=BAGS / 'drive', map=None, robot=BAGS / 'robot.yaml', start=None

@@ -1,11 +1,6 @@
 """What goes wrong on a robot while it drives, put into the messages of a recorded drive."""
 
-from __future__ import annotations
-
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
-from pathlib import Path
-from typing import Any
 
 import message_changes as change
 from message_changes import CAMERA, INFO, JOINTS, later, NS, ODOMETRY
@@ -32,7 +27,7 @@ class Fault:
     copies: int = 1
 
 
-def faults(bag: Bag) -> dict[str, Fault]:
+def faults(bag):
     """All of them."""
     right, down, ahead = (change.bumped(bag, turn) for turn in ((2, 0, 0), (0, 2, 0), (0, 0, 2)))
     black = change.pictured(np.zeros_like)
@@ -74,7 +69,7 @@ def faults(bag: Bag) -> dict[str, Fault]:
     }
 
 
-def degraded(bag: Bag, name: str, fault: Fault, at_s: float) -> Iterator[tuple[str, Any, int]]:
+def degraded(bag, name, fault, at_s):
     """Yield topic, message and time of recording."""
     wheels, carried = np.zeros(3), None
     for entry in bag.messages():
@@ -99,7 +94,12 @@ def degraded(bag: Bag, name: str, fault: Fault, at_s: float) -> Iterator[tuple[s
             yield topic, message, log
 
 
-def write_bag(path: Path, messages: Iterable[tuple[str, Any, int]]) -> Path:
+def recorded(path):
+    """Topics, messages and times of recording of a bag, to be changed and written again."""
+    return [(entry.topic, entry.message, entry.stamp_ns) for entry in Bag(path).messages()]
+
+
+def write_bag(path, messages):
     """Write messages, each with its topic and time of recording, in the order of that."""
     with BagWriter(path) as written:
         for message in sorted(messages, key=lambda sent: sent[2]):
@@ -107,19 +107,19 @@ def write_bag(path: Path, messages: Iterable[tuple[str, Any, int]]) -> Path:
     return path
 
 
-def displaced_drive(bag: Bag, path: Path, turn_deg: tuple[float, float, float]) -> Path:
+def displaced_drive(bag, path, turn_deg):
     """Write a drive whose camera was displaced before its first image."""
     fault = Fault(change.bumped(bag, turn_deg), (CAMERA,), FOR_GOOD_S)
     return write_bag(path, degraded(bag, 'displaced', fault, 0.0))
 
 
-def late_drive(bag: Bag, path: Path, late_s: float, since_s: float = 0.0) -> Path:
+def late_drive(bag, path, late_s, since_s=0.0):
     """Write a drive whose joint states are stamped late from a time on."""
     fault = Fault(later(late_s), (JOINTS,), FOR_GOOD_S)
     return write_bag(path, degraded(bag, 'late', fault, since_s))
 
 
-def starved_drive(bag: Bag, path: Path) -> Path:
+def starved_drive(bag, path):
     """Write a drive as a machine records it that others keep busy."""
     fault = Fault(change.starved(), SENSORS, FOR_GOOD_S)
     return write_bag(path, degraded(bag, 'starved', fault, 0.0))

@@ -9,14 +9,10 @@ sigma, and `tracking`). It exits with 1 if that is later than two seconds, or if
 not come back.
 """
 
-from __future__ import annotations
-
-from collections.abc import Iterator
 from dataclasses import dataclass
 import logging
 from pathlib import Path
 import tempfile
-from typing import Any
 
 from drive_faults import degraded, faults, FOR_GOOD_S, write_bag
 from harness import any_of, Drive, drive_parser, START_SIGMA
@@ -25,7 +21,7 @@ import numpy as np
 from landmark_nav.evaluation.metrics import pose_errors, undetected_failures
 from landmark_nav.localization.localizer import LocalizationConfig, LocalizationUpdate, Localizer
 from landmark_nav.storage.bags import Bag, sensor_events
-from landmark_nav.types import FloatArray, OdometrySample, PoseEstimate
+from landmark_nav.types import OdometrySample, PoseEstimate
 
 # Time within which faults are to be reported.
 REPORTED_S = 2.0
@@ -51,11 +47,11 @@ class Outcome:
     wrong: int = 0
     reason: str = ''
 
-    def note(self, after_s: float, status: tuple[str, str]) -> None:
+    def note(self, after_s, status):
         if after_s >= 0.0 and np.isnan(self.reported_s) and status[0] != 'OK':
             self.reported_s, self.reason = after_s, ': '.join(status)
 
-    def judge(self, after_s: float, update: LocalizationUpdate, true: FloatArray) -> None:
+    def judge(self, after_s, update, true):
         self.images += 1
         if update.status != 'OK':
             return
@@ -69,16 +65,14 @@ class Outcome:
         if np.isnan(self.back_s) and right and after_s >= over_s:
             self.back_s = after_s - over_s
 
-    def __str__(self) -> str:
+    def __str__(self):
         times = (self.reported_s, self.back_s, self.wrong_s)
         reported, back, wrong = (f'{t:5.1f}' if t == t else '    -' for t in times)
         share = self.tracking / max(self.images, 1)
         return f'{reported} {back} {share:9.2f} {wrong} {self.wrong:4d}  {self.reason[:90]}'
 
 
-def outcome(
-    events: Iterator[Any], localizer: Localizer, start: FloatArray, at_s: float, over_s: float
-) -> Outcome:
+def outcome(events, localizer, start, at_s, over_s):
     """Drive, with a fault from `at_s` on, for `over_s`."""
     done, true, period_s, ticks = Outcome(over_s), np.zeros(3), 0.05, 0
     for event in events:
@@ -100,7 +94,7 @@ def outcome(
     return done
 
 
-def main() -> int:
+def main():
     """Print a line for each fault."""
     parser = drive_parser(__doc__)
     parser.add_argument('--at', type=float, default=12.0, help='seconds into the drive (12)')

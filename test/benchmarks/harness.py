@@ -1,26 +1,20 @@
 """What benchmarks share: commands as users give them, recordings, errors and tables."""
 
-from __future__ import annotations
-
 import argparse
-from collections.abc import Iterable
 import json
 from pathlib import Path
 import tempfile
-from typing import Any
 
 import cv2
 import numpy as np
 
-from landmark_nav.calibration import Calibration
 from landmark_nav.cli.main import main as landmark_nav
 from landmark_nav.evaluation.metrics import error_summary
-from landmark_nav.evaluation.replay import Replay, replay
+from landmark_nav.evaluation.replay import replay
 from landmark_nav.localization.localizer import LocalizationConfig
-from landmark_nav.storage.bags import Bag, sensor_events, SensorEvent
+from landmark_nav.storage.bags import Bag, sensor_events
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.robot_files import load_calibration
-from landmark_nav.types import FloatArray, ImageArray, LandmarkMap
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 BAGS = REPOSITORY / 'bags'
@@ -30,7 +24,7 @@ STUDY = SHARED / 'study'
 START_SIGMA = np.array([0.05, 0.05, 0.035])
 
 
-def command(*words: object) -> None:
+def command(*words):
     """`landmark-nav` with these words; ends the benchmark if it fails."""
     arguments = [str(word) for word in words]
     status = landmark_nav(arguments)
@@ -38,12 +32,12 @@ def command(*words: object) -> None:
         raise SystemExit(f'landmark-nav {" ".join(arguments)}: exit status {status}')
 
 
-def start_of(folder: Path, name: str = 'start.json') -> list[float]:
+def start_of(folder, name='start.json'):
     """Pose of the base in map at the start of the drive of a room."""
     return list(json.loads((folder / name).read_text(encoding='utf-8'))['pose'])
 
 
-def learn(room: Path, out: Path, *options: object) -> dict[str, Any]:
+def learn(room, out, *options):
     """Learn the sweeps of a room to the map `out`; figures, also in `learn.json` beside it."""
     figures = out.with_name('learn.json')
     files = ('--room', room / 'room.yaml', '--robot', room / 'robot.yaml')
@@ -52,15 +46,7 @@ def learn(room: Path, out: Path, *options: object) -> dict[str, Any]:
     return dict(json.loads(figures.read_text()))
 
 
-def evaluate(
-    room: Path,
-    learned: Path,
-    *options: object,
-    start: list[float] | None,
-    drive: Path | None = None,
-    robot: Path | None = None,
-    out: Path | None = None,
-) -> dict[str, Any]:
+def evaluate(room, learned, *options, start, drive=None, robot=None, out=None):
     """Evaluate the drive of a room, or another; figures, also in `run.json` beside the map."""
     figures = out or learned.with_name('run.json')
     given = () if start is None else ('--start', *start)
@@ -69,7 +55,7 @@ def evaluate(
     return dict(json.loads(figures.read_text()))
 
 
-def rooms_parser(text: str | None) -> argparse.ArgumentParser:
+def rooms_parser(text):
     """Parser of the arguments of simulated rooms."""
     parser = argparse.ArgumentParser(description=text)
     parser.add_argument('--seeds', type=int, nargs='+', required=True)
@@ -77,7 +63,7 @@ def rooms_parser(text: str | None) -> argparse.ArgumentParser:
     return parser
 
 
-def learned_room(seed: int, maps: str | None = None, *options: str) -> LandmarkMap:
+def learned_room(seed, maps=None, *options):
     """Map of a simulated room, learned as a user would; of `maps`, if they were kept."""
     if maps:
         return load_map(maps.format(seed=seed))
@@ -88,13 +74,13 @@ def learned_room(seed: int, maps: str | None = None, *options: str) -> LandmarkM
         return load_map(out)
 
 
-def as_jpeg(image: ImageArray, quality: int = 90) -> ImageArray:
+def as_jpeg(image, quality=90):
     """What is left of an image in a JPEG."""
     _, data = cv2.imencode('.jpg', image, [cv2.IMWRITE_JPEG_QUALITY, quality])
     return np.asarray(cv2.imdecode(data, cv2.IMREAD_UNCHANGED), np.uint8)
 
 
-def drive_parser(text: str | None, **defaults: object) -> argparse.ArgumentParser:
+def drive_parser(text, **defaults):
     """Parser of the arguments of a recorded drive; those with a default are optional."""
     parser = argparse.ArgumentParser(description=text)
     parser.add_argument('drive', type=Path, nargs='?' if 'drive' in defaults else None)
@@ -111,25 +97,23 @@ def drive_parser(text: str | None, **defaults: object) -> argparse.ArgumentParse
 class Drive:
     """A recorded drive, its map, and what is known of the robot and its start."""
 
-    def __init__(
-        self, bag: Path, learned: LandmarkMap, known: Calibration, start: list[float] | None
-    ) -> None:
+    def __init__(self, bag, learned, known, start):
         self.bag, self.landmarks, self.known = Bag(bag), learned, known
         self.start = None if start is None else np.array(start)
         self.mount = known.mount
 
     @classmethod
-    def of(cls, given: argparse.Namespace) -> Drive:
+    def of(cls, given):
         """Drive of the arguments of `drive_parser`."""
         landmarks = load_map(given.map)
         known = landmarks.calibration_from(load_calibration(given.robot))
         return cls(given.drive, landmarks, known, given.start)
 
-    def events(self) -> list[SensorEvent]:
+    def events(self):
         """Return what was sensed."""
         return list(sensor_events(self.bag, self.mount))
 
-    def run(self, events: Iterable[SensorEvent], known: Calibration | None = None) -> Replay:
+    def run(self, events, known=None):
         """Localize by events, such as these, changed."""
         return replay(
             events, self.landmarks, known or self.known, LocalizationConfig(), self.start,
@@ -137,7 +121,7 @@ class Drive:
         )  # fmt: skip
 
 
-def summary(errors: FloatArray) -> dict[str, float]:
+def summary(errors):
     """RMSE, median, 95 % and greatest error of positions [mm], RMSE of headings [deg]."""
     known = {name: np.nan if v is None else v for name, v in error_summary(errors).items()}
     names = ('rmse', 'median', 'p95', 'max')
@@ -145,12 +129,12 @@ def summary(errors: FloatArray) -> dict[str, float]:
     return {**figures, 'heading': known['heading_rmse_deg']}
 
 
-def rms(values: FloatArray) -> float:
+def rms(values):
     """Root mean square; NaN of nothing."""
     return float(np.sqrt(np.mean(np.square(values)))) if len(values) else float('nan')
 
 
-def print_row(row: dict[str, Any], width: int, first: bool = False, digits: int = 4) -> None:
+def print_row(row, width, first=False, digits=4):
     """Print the values of a row of a table, below their names if it is the first one."""
     if first:
         print('\n' + '  '.join(f'{name:>{width}}' for name in row))
@@ -158,7 +142,7 @@ def print_row(row: dict[str, Any], width: int, first: bool = False, digits: int 
     print('  '.join(f'{cell:>{width}}' for cell in cells), flush=True)
 
 
-def figures_of(run: dict[str, Any]) -> dict[str, float]:
+def figures_of(run):
     """What tables show of a report of `evaluate`, millimetres and degrees."""
     return {
         'fused_mm': 1e3 * run['fused']['position_rmse_m'],
@@ -171,11 +155,11 @@ def figures_of(run: dict[str, Any]) -> dict[str, float]:
     }
 
 
-def any_of(parts: Iterable[str] | None, name: str) -> bool:
+def any_of(parts, name):
     """Whether a name holds one of the parts that `--only` gives, or none is given."""
     return not parts or any(part in name for part in parts)
 
 
-def within(bounds: dict[str, tuple[float, float]], row: dict[str, Any]) -> bool:
+def within(bounds, row):
     """Whether each figure of a row is between its bounds."""
     return all(low <= row[name] <= high for name, (low, high) in bounds.items())

@@ -19,16 +19,12 @@ what a person with a tape would have measured, unless ``--exact`` is given.
 =================  ===============================================================================
 """
 
-from __future__ import annotations
-
-import argparse
 from dataclasses import dataclass
 
 from builders import patch_points
 import cv2
 from harness import learned_room, print_row, rooms_parser
 import numpy as np
-import numpy.typing as npt
 from relocalize import camera_image, free_poses
 
 from landmark_nav.geometry.patches import patch_axes
@@ -42,11 +38,9 @@ from landmark_nav.localization.triplet.visibility import (
 )
 from landmark_nav.matching.alignment import blur_to, Match, match_template
 from landmark_nav.simulation.furnishing import another_day, generate_scene
-from landmark_nav.simulation.scene import Scene
 from landmark_nav.simulation.solids import wall_solids
-from landmark_nav.simulation.surfaces import Surface
 from landmark_nav.simulation.world import RobotWorld
-from landmark_nav.types import CameraFrame, FloatArray, Landmark, LandmarkMap, PoseEstimate
+from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate
 
 # How far along its wall a landmark's texture is looked for.
 _SEARCH_M = 0.06
@@ -66,7 +60,7 @@ class TrueWalls:
     distances from the wall, that of its edges counts, as it does in stereo.
     """
 
-    def __init__(self, scene: Scene) -> None:
+    def __init__(self, scene):
         """Draw the walls; takes a second."""
         self.scene = scene
         self._walls = {}
@@ -83,7 +77,7 @@ class TrueWalls:
             nearest = cv2.dilate(before, np.ones((11, 11), np.uint8))
             self._walls[wall.id] = (wall, base, grey.astype(np.float32), nearest)
 
-    def place(self, landmark: Landmark) -> FloatArray | None:
+    def place(self, landmark):
         """
         Where its texture truly is, (3,).
 
@@ -127,7 +121,7 @@ class TrueWalls:
         before_wall = (point[:2] - wall.start) @ wall.normal[:2]
         return np.asarray(point + (np.average(depths, weights=edges) - before_wall) * wall.normal)
 
-    def _nearest(self, landmark: Landmark) -> str:
+    def _nearest(self, landmark):
         """Wall that lies next to what hangs on none, of those that face as it does."""
         facing = {
             name: abs((landmark.position[:2] - wall.start) @ wall.normal[:2])
@@ -136,7 +130,7 @@ class TrueWalls:
         }
         return min(facing, key=lambda name: facing[name])
 
-    def hidden(self, eye: FloatArray, points: FloatArray) -> npt.NDArray[np.bool_]:
+    def hidden(self, eye, points):
         """Whether furniture or walls stand between an eye (3,) and points (..., 3)."""
         way = points - eye
         hidden = ~self.scene.room.visible(
@@ -155,7 +149,7 @@ class TrueWalls:
         return np.asarray(hidden)
 
 
-def _best_match(search: cv2.typing.MatLike, patch: npt.NDArray[np.uint8]) -> Match | None:
+def _best_match(search, patch):
     found = match_template(
         np.ascontiguousarray(search, np.float32),
         patch.astype(np.float32),
@@ -165,18 +159,16 @@ def _best_match(search: cv2.typing.MatLike, patch: npt.NDArray[np.uint8]) -> Mat
     return found if isinstance(found, Match) else None
 
 
-def _grey(camera_image: npt.NDArray[np.uint8]) -> npt.NDArray[np.float32]:
+def _grey(camera_image):
     return cv2.cvtColor(camera_image[..., :3], cv2.COLOR_BGR2GRAY).astype(np.float32)
 
 
-def _edges(image: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+def _edges(image):
     """Squared gradient."""
     return cv2.Sobel(image, cv2.CV_32F, 1, 0) ** 2 + cv2.Sobel(image, cv2.CV_32F, 0, 1) ** 2
 
 
-def _laid_on(
-    base: Surface, shape: tuple[int, ...], surface: Surface
-) -> tuple[FloatArray, npt.NDArray[np.float32]]:
+def _laid_on(base, shape, surface):
     """Share of each of a wall's texels that `surface` covers, and what it shows there."""
     rows, columns = shape
     corner = surface.corner - base.corner
@@ -198,7 +190,7 @@ def _laid_on(
     return np.outer(down, across), shown
 
 
-def _covered(low: float, high: float, length: float, count: int) -> FloatArray:
+def _covered(low, high, length, count):
     """Share of each of `count` texels along a `length` that lies between two places on it."""
     edges = np.linspace(0.0, length, count + 1)
     common = np.minimum(edges[1:], high) - np.maximum(edges[:-1], low)
@@ -232,7 +224,7 @@ class Room:
     nees: FloatArray
 
 
-def check_places(seed: int, learned: LandmarkMap) -> Room:
+def check_places(seed, learned):
     """Compare a map with the room it was learned in."""
     walls = TrueWalls(generate_scene(seed))
     places = [walls.place(landmark) for landmark in learned.landmarks]
@@ -246,7 +238,7 @@ def check_places(seed: int, learned: LandmarkMap) -> Room:
 class Looker:
     """A robot that looks for landmarks in a room on another day."""
 
-    def __init__(self, room: Room) -> None:
+    def __init__(self, room):
         """Change the light and one piece of furniture."""
         self.rng = np.random.default_rng([room.seed, 50])
         scene = another_day(room.walls.scene, self.rng)
@@ -255,7 +247,7 @@ class Looker:
         self.corners = room.learned.corners
         self.there = np.isfinite(room.error_m)
 
-    def in_view(self, pose: FloatArray, pan: float) -> npt.NDArray[np.bool_]:
+    def in_view(self, pose, pan):
         """Which landmarks (n,) are truly there, in an image whole, before their walls."""
         world, count = self.world, len(self.corners)
         front = np.sum(
@@ -268,16 +260,14 @@ class Looker:
         )
         return np.asarray(whole & self.there & (front > 0.0))
 
-    def hidden(self, pose: FloatArray) -> npt.NDArray[np.bool_]:
+    def hidden(self, pose):
         """Which landmarks (n,) something hides, in part or whole."""
         eye = axis_position(pose, self.world.mount)
         points = np.concatenate([self.corners, self.room.learned.positions[:, None]], 1)
         inward = points + 0.02 * self.room.learned.normals[:, None]
         return np.asarray(self.walls.hidden(eye, inward).any(-1))
 
-    def look(
-        self, pose: FloatArray, frame: CameraFrame, which: npt.NDArray[np.bool_]
-    ) -> tuple[npt.NDArray[np.bool_], npt.NDArray[np.bool_]]:
+    def look(self, pose, frame, which):
         """Which landmarks (n,) are found within a pixel, and which are reported elsewhere."""
         world, learned = self.world, self.room.learned
         noise = self.rng.normal(0.0, _PRIOR_SIGMA)
@@ -294,7 +284,7 @@ class Looker:
         return right, wrong
 
 
-def check_detections(room: Room, poses: int) -> npt.NDArray[np.int64]:
+def check_detections(room, poses):
     """From random poses: landmarks that should be seen, that are found, found elsewhere."""
     looker = Looker(room)
     config = TripletConfig()
@@ -309,7 +299,7 @@ def check_detections(room: Room, poses: int) -> npt.NDArray[np.int64]:
     return counts
 
 
-def check_area(room: Room) -> npt.NDArray[np.int64]:
+def check_area(room):
     """Places on a grid, (4,): neither predicted nor observed, observed, predicted, both."""
     looker = Looker(room)
     config = TripletConfig()
@@ -336,7 +326,7 @@ def check_area(room: Room) -> npt.NDArray[np.int64]:
     return counts
 
 
-def line_of(rooms: list[Room], seen: FloatArray, area: FloatArray) -> dict[str, float]:
+def line_of(rooms, seen, area):
     """Figures of one room or of many."""
     error = np.concatenate([room.error_m for room in rooms])
     there = np.isfinite(error)
@@ -355,7 +345,7 @@ def line_of(rooms: list[Room], seen: FloatArray, area: FloatArray) -> dict[str, 
     }
 
 
-def meets_bounds(row: dict[str, float], arguments: argparse.Namespace) -> bool:
+def meets_bounds(row, arguments):
     """Whether the sum of all rooms is as good as it has to be."""
     good = row['landmarks'] >= MIN_LANDMARKS and row['median'] <= 1e3 * MAX_MEDIAN_M
     good &= row['p95'] <= 1e3 * MAX_P95_M and row['false'] == 0
@@ -365,7 +355,7 @@ def meets_bounds(row: dict[str, float], arguments: argparse.Namespace) -> bool:
     return good and (not arguments.area or row['area'] >= MIN_AREA)
 
 
-def main() -> int:
+def main():
     """Print a table."""
     parser = rooms_parser(__doc__.split('\n\n')[0])
     parser.add_argument('--exact', action='store_true', help='give the robot the exact room')

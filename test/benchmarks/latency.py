@@ -9,14 +9,10 @@ the latency and what was dropped, and exits with 1 if the 99th percentile is ove
 latency grows.
 """
 
-from __future__ import annotations
-
-import argparse
 import os
 from pathlib import Path
 import tempfile
 import time
-from typing import Any
 
 from harness import drive_parser
 from node_costs import used
@@ -37,7 +33,7 @@ START_SIGMA = (0.02, 0.02, 0.01)
 class Stopwatch:
     """Arrival times of images, and of the first fused pose after their landmarks."""
 
-    def __init__(self, client: RobotClient) -> None:
+    def __init__(self, client):
         self.shown: dict[int, float] = {}
         self.took: list[tuple[float, float]] = []
         self._waiting: list[int] = []
@@ -46,13 +42,13 @@ class Stopwatch:
         client.listen('detections', self._on_detections)
         client.listen('odometry/fused', self._on_fused)
 
-    def _on_image(self, message: Any) -> None:
+    def _on_image(self, message):
         self.shown[decode.stamp_ns(message.header)] = time.monotonic()
 
-    def _on_detections(self, message: Any) -> None:
+    def _on_detections(self, message):
         self._waiting.append(decode.stamp_ns(message.header))
 
-    def _on_fused(self, message: Any) -> None:
+    def _on_fused(self, message):
         now, stamp = time.monotonic(), decode.stamp_ns(message.header)
         for done in [k for k in self._waiting if k <= stamp]:
             self._waiting.remove(done)
@@ -60,7 +56,7 @@ class Stopwatch:
                 self.took.append((self.shown[done], now - self.shown[done]))
 
 
-def measure(arguments: argparse.Namespace) -> tuple[Stopwatch, dict[str, float], dict[str, str]]:
+def measure(arguments):
     """Play the bag; arrival times, computing time a node, and what the localizer says."""
     bag = Bag(arguments.drive)
     camera = next(name for name in bag.counts if '/image_raw' in name)
@@ -107,7 +103,7 @@ def measure(arguments: argparse.Namespace) -> tuple[Stopwatch, dict[str, float],
         return watch, cpu, dict(client.status_of('triangulation_localizer').values)
 
 
-def main() -> int:
+def main():
     """Measure and judge."""
     parser = drive_parser(__doc__)
     parser.add_argument('--room', type=Path, required=True)

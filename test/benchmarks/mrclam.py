@@ -8,12 +8,9 @@ its own positions move, and bearings are off by as much the same way. So the lim
 is wider.
 """
 
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 import tempfile
-from typing import Any
 
 from harness import command, SHARED, start_of, START_SIGMA
 import numpy as np
@@ -29,7 +26,7 @@ from landmark_nav.storage.robot_files import load_calibration
 LIMITS = {1: (0.13, 0.08, 2.5), 2: (0.09, 0.06, 1.5), 3: (0.07, 0.04, 1.0)}
 
 
-def driven(robot: int, data: Path, folder: Path) -> dict[str, Any]:
+def driven(robot, data, folder):
     """Return the report of a robot's drive."""
     log = folder / 'log'
     command('convert', 'mrclam', data, '--robot', robot, '--out', log)
@@ -43,7 +40,7 @@ def driven(robot: int, data: Path, folder: Path) -> dict[str, Any]:
     return pose_report(run, run_errors(run), posts)
 
 
-def meets_bounds(report: dict[str, Any], robot: int) -> bool:
+def meets_bounds(report, robot):
     """Whether a robot is where it was, and its covariance says how well."""
     rmse_m, median_m, heading_deg = LIMITS[robot]
     return bool(
@@ -55,7 +52,7 @@ def meets_bounds(report: dict[str, Any], robot: int) -> bool:
     )
 
 
-def main() -> int:
+def main():
     """Print a line a robot."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--robots', type=int, nargs='+', default=list(LIMITS), choices=LIMITS)

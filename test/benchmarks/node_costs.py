@@ -8,8 +8,6 @@ subscription, guard, `decode.camera_image`. Where the robot drives is measured b
 Ends with 1 if an idle node takes over 3 % of a core, or images over 15 % or 2 ms each.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 from pathlib import Path
@@ -18,7 +16,6 @@ import sys
 import tempfile
 from threading import Thread
 import time
-from typing import Any
 
 import numpy as np
 
@@ -30,7 +27,7 @@ MAX_IDLE, MAX_SHARE, MAX_MS = 0.03, 0.15, 2.0
 START_S = 8.0
 
 
-def used(process: subprocess.Popen[bytes]) -> tuple[float, float]:
+def used(process):
     """Computing time, s, and resident memory, MB."""
     folder = Path(f'/proc/{process.pid}')
     fields = (folder / 'stat').read_text().rpartition(')')[2].split()
@@ -39,9 +36,7 @@ def used(process: subprocess.Popen[bytes]) -> tuple[float, float]:
     return ticks, 1e-6 * pages * os.sysconf('SC_PAGE_SIZE')
 
 
-def shares(
-    commands: dict[str, list[str]], seconds: float, environment: dict[str, str]
-) -> dict[str, tuple[float, float]]:
+def shares(commands, seconds, environment):
     """Share of a core and memory, MB, of each process."""
     with tempfile.TemporaryDirectory() as logs, Supervisor(Path(logs), environment) as nodes:
         running = {name: nodes.start(name, command) for name, command in commands.items()}
@@ -54,7 +49,7 @@ def shares(
     return {name: ((cpu - before[name]) / took, memory) for name, (cpu, memory) in after.items()}
 
 
-def send() -> None:
+def send():
     """Publish images until the process is ended."""
     from landmark_nav.messages import encode
     from landmark_nav.ros.robot_client import RobotClient
@@ -70,7 +65,7 @@ def send() -> None:
             time.sleep(max(due - time.monotonic(), 0.0))
 
 
-def receive() -> int:
+def receive():
     """Take images as a node does; after a while print how many, CPU a message and age."""
     from landmark_nav.messages import decode
     from landmark_nav.ros.camera_frames import ImageSource
@@ -79,15 +74,15 @@ def receive() -> int:
     from landmark_nav.ros.run import run_node
 
     class Receiver(LandmarkNode):
-        def set_up(self) -> None:
+        def set_up(self):
             self.ages_ms: list[float] = []
             self.took_ms: list[float] = []
             ImageSource(self, 'camera/image_raw', self._take, 'raw', depth=2)
 
-        def health(self) -> Health:
+        def health(self):
             return Health(Level.OK, 'receives')
 
-        def _take(self, message: Any) -> None:
+        def _take(self, message):
             begin = time.thread_time()
             decode.image(message, grey=True)
             self.took_ms.append(1e3 * (time.thread_time() - begin))
@@ -95,12 +90,12 @@ def receive() -> int:
 
     made: list[Receiver] = []
 
-    def make() -> Receiver:
+    def make():
         made.append(Receiver('receiver', 'test'))
         Thread(target=watch, args=(made[0],), daemon=True).start()
         return made[0]
 
-    def watch(node: Receiver) -> None:
+    def watch(node):
         time.sleep(3.0)
         first, cpu, begin = len(node.ages_ms), time.process_time(), time.monotonic()
         time.sleep(float(os.environ['SECONDS']))
@@ -118,7 +113,7 @@ def receive() -> int:
     return run_node(make)
 
 
-def main() -> int:
+def main():
     """Measure and judge."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--seconds', type=float, default=20.0)

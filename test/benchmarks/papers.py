@@ -7,8 +7,6 @@ places each; what is given of papers, height, axis and joint angles is as wrong 
 configuration says. It prints a line a place and exits with 1 if a bound is missed.
 """
 
-from __future__ import annotations
-
 import argparse
 from dataclasses import replace
 
@@ -19,16 +17,15 @@ import numpy as np
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
-from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.geometry.walls import Paper, Room
+from landmark_nav.geometry.walls import Paper
 from landmark_nav.learning.panorama.synthesis import synthesize_cylinder
 from landmark_nav.learning.reference_area.location import PaperSearch
 from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
 from landmark_nav.simulation.furnishing import generate_room, generate_scene
-from landmark_nav.simulation.scene import Lamp, Scene, view_quality, WallItem
+from landmark_nav.simulation.scene import Lamp, view_quality, WallItem
 from landmark_nav.simulation.setup_documents import moved_paper
 from landmark_nav.simulation.world import DEFAULT_MOUNT, RobotWorld
-from landmark_nav.types import FloatArray, Sweep
+from landmark_nav.types import Sweep
 
 COLORS = ('red', 'green', 'blue', 'yellow', 'magenta', 'orange', '#1a9090')
 SIZES = ((0.21, 0.297), (0.297, 0.21), (0.297, 0.42), (0.25, 0.25))
@@ -41,7 +38,7 @@ NEES_RANGE = (1.5, 4.2)
 MAX_REFUSED = 0.1
 
 
-def draw_papers(room: Room, count: int, walls: int, rng: np.random.Generator) -> Room:
+def draw_papers(room, count, walls, rng):
     """The same room with so many papers on so many of its longest walls."""
     longest = sorted(room.walls, key=lambda wall: -wall.length)[:walls]
     papers: list[Paper] = []
@@ -57,7 +54,7 @@ def draw_papers(room: Room, count: int, walls: int, rng: np.random.Generator) ->
     return replace(room, papers=tuple(papers))
 
 
-def draw_scene(seed: int, rng: np.random.Generator) -> Scene | None:
+def draw_scene(seed, rng):
     """A furnished room, with sheets of the papers' size about and its light changed."""
     plain = generate_room(rng)
     room = draw_papers(plain, int(rng.integers(3, 7)), int(rng.integers(1, 4)), rng)
@@ -86,7 +83,7 @@ def draw_scene(seed: int, rng: np.random.Generator) -> Scene | None:
     return replace(scene, items=(*scene.items, *sheets), lamps=lamps)
 
 
-def places_of(scene: Scene, count: int, rng: np.random.Generator) -> FloatArray:
+def places_of(scene, count, rng):
     """Poses (n, 3) that see three papers or more."""
     xy = rng.uniform(*scene.room.bounds, (400, 2))
     xy = xy[scene.room.contains(xy)]
@@ -97,7 +94,7 @@ def places_of(scene: Scene, count: int, rng: np.random.Generator) -> FloatArray:
     return np.column_stack([xy, rng.uniform(-np.pi, np.pi, len(xy))])
 
 
-def take_sweep(world: RobotWorld, pose: FloatArray, gamma: float) -> Sweep:
+def take_sweep(world, pose, gamma):
     """The frames of a turn that look towards papers, as JPEG."""
     table = np.rint(255.0 * (np.arange(256) / 255.0) ** (1.0 / gamma)).astype(np.uint8)
     axis = world.mount.axis_pose_map(pose)
@@ -111,9 +108,7 @@ def take_sweep(world: RobotWorld, pose: FloatArray, gamma: float) -> Sweep:
     return Sweep(0, tuple(frames))
 
 
-def reported(
-    room: Room, sweep: Sweep, rng: np.random.Generator
-) -> tuple[Room, Sweep, PanTiltMount]:
+def reported(room, sweep, rng):
     """What a robot is given: all a little wrong."""
     shifts = rng.normal(0.0, CONFIG.paper_sigma_m, (len(room.papers), 2))
     papers = tuple(moved_paper(p, room, s) for p, s in zip(room.papers, shifts, strict=True))
@@ -132,7 +127,7 @@ def reported(
     return replace(room, papers=papers), replace(sweep, frames=frames), mount
 
 
-def main() -> int:
+def main():
     """Print a table and the verdict."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--rooms', type=int, default=12)

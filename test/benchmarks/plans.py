@@ -16,10 +16,7 @@ predicted, of those whose predictions differ by a tenth or more. It exits with 1
 all is outside 1/2 to 2 or fewer than three quarters were predicted.
 """
 
-from __future__ import annotations
-
 import argparse
-from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import combinations
 import sys
@@ -32,23 +29,17 @@ import numpy as np
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.se2 import bearings
-from landmark_nav.geometry.walls import Paper, Room
 from landmark_nav.learning.adjustment.problem import AdjustmentConfig
-from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig, LearningResult
+from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig
 from landmark_nav.learning.sweep_pipeline import panorama_from_sweep, PanoramaStages
 from landmark_nav.localization.triangulation.robust import triangulate
-from landmark_nav.localization.triplet.visibility import (
-    axis_position,
-    fully_in_view,
-    observable,
-)
+from landmark_nav.localization.triplet.visibility import axis_position, fully_in_view, observable
 from landmark_nav.planning.planner import forecast, plan_positions
-from landmark_nav.planning.prediction import CAP_M, Forecast
+from landmark_nav.planning.prediction import CAP_M
 from landmark_nav.planning.views import free_floor, PlanConfig
 from landmark_nav.simulation.furnishing import generate_scene
-from landmark_nav.simulation.scene import Scene
 from landmark_nav.simulation.world import DEFAULT_CAMERA, DEFAULT_MOUNT, RobotWorld
-from landmark_nav.types import FloatArray, PoseEstimate, Refusal, Sweep
+from landmark_nav.types import PoseEstimate, Refusal, Sweep
 
 FRAMES = 72
 PLACES = 200
@@ -61,9 +52,7 @@ LEAST_PREDICTED = 0.75
 APART = 1.1
 
 
-def check_room(
-    seed: int, config: PlanConfig, args: argparse.Namespace
-) -> Iterator[dict[str, float | str]]:
+def check_room(seed, config, args):
     """Plan, learn and localize in one room."""
     # The planner knows walls, not furniture: without it the comparison is about the prediction.
     scene = replace(generate_scene(seed), boxes=())
@@ -90,14 +79,14 @@ def check_room(
         yield {**row, **compare(result, scene, expected, cells, rng)}
 
 
-def _as_given(paper: Paper, config: PlanConfig, rng: np.random.Generator) -> Paper:
+def _as_given(paper, config, rng):
     """Where somebody measured it, who is as exact as the planner expects."""
     off = rng.normal(0.0, config.reference_area.paper_sigma_m, 3)
     # Across its wall a paper can't be: what matters there are the distances along the wall.
     return replace(paper, center=tuple(float(v) for v in np.add(paper.center, off)))
 
 
-def learn(world: RobotWorld, room: Room, poses: FloatArray) -> LearningResult:
+def learn(world, room, poses):
     """Sweep at each pose and learn."""
     panoramas = []
     for pose in poses:
@@ -109,13 +98,7 @@ def learn(world: RobotWorld, room: Room, poses: FloatArray) -> LearningResult:
     return learn_from_panoramas(panoramas, room, LearningConfig())
 
 
-def compare(
-    result: LearningResult,
-    scene: Scene,
-    expected: Forecast,
-    cells: FloatArray,
-    rng: np.random.Generator,
-) -> dict[str, float | str]:
+def compare(result, scene, expected, cells, rng):
     """Set what was learned beside what was predicted; millimetres, root mean squares."""
     learned = result.map
     walls = TrueWalls(scene)
@@ -145,9 +128,7 @@ def compare(
     }
 
 
-def localize(
-    cell: FloatArray, result: LearningResult, truth: FloatArray, rng: np.random.Generator
-) -> tuple[float, float]:
+def localize(cell, result, truth, rng):
     """Error of a fix at a place, and the one it claims; inf where there is none."""
     config = PlanConfig()
     base = np.array([*cell, rng.uniform(-np.pi, np.pi)])
@@ -174,7 +155,7 @@ def localize(
     return error, float(np.sqrt(np.trace(fix.covariance[:2, :2])))
 
 
-def summary(rows: Sequence[dict[str, float | str]]) -> bool:
+def summary(rows):
     """Print what came of the predictions; whether they are good enough."""
     print(f'\n{"over all rooms":<16}{"landmarks":>25}{"localization":>28}')
     print(f'{"":<16}' + 2 * f'{"mm":>8}{"predicted":>10}{"ratio":>7}')
@@ -203,11 +184,11 @@ def summary(rows: Sequence[dict[str, float | str]]) -> bool:
     return good and sum(right) >= LEAST_PREDICTED * len(right)
 
 
-def _apart(first: float, second: float) -> bool:
+def _apart(first, second):
     return max(first, second) >= APART * min(first, second)
 
 
-def main() -> int:
+def main():
     """Print tables."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--seeds', type=int, nargs='+', required=True)

@@ -7,9 +7,6 @@ exits with 1 if one was wrong or too few were right. ``--maps DIR/room_{seed}/ma
 ``test/benchmarks rooms --out DIR`` has kept.
 """
 
-from __future__ import annotations
-
-from collections.abc import Iterator
 from dataclasses import replace
 import time
 
@@ -19,16 +16,8 @@ import numpy as np
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.localization.relocalization.stream import Relocalizer
 from landmark_nav.simulation.furnishing import another_day, generate_scene
-from landmark_nav.simulation.scene import Scene
 from landmark_nav.simulation.world import RobotWorld
-from landmark_nav.types import (
-    CameraFrame,
-    FloatArray,
-    LandmarkMap,
-    OdometrySample,
-    PoseEstimate,
-    Refusal,
-)
+from landmark_nav.types import OdometrySample, PoseEstimate, Refusal
 
 MAX_ERROR_M = 0.05
 MAX_ERROR_DEG = 1.0
@@ -38,7 +27,7 @@ PERIOD_NS = 10**8
 _CLEARANCE_M = 0.4
 
 
-def check_room(seed: int, learned: LandmarkMap, poses: int, frames: int) -> dict[str, float]:
+def check_room(seed, learned, poses, frames):
     """Place the robot at random and let it look around, once at most, until it knows its place."""
     rng = np.random.default_rng([seed, 40])
     scene = another_day(generate_scene(seed), rng)
@@ -83,7 +72,7 @@ def check_room(seed: int, learned: LandmarkMap, poses: int, frames: int) -> dict
     }
 
 
-def free_poses(scene: Scene, count: int, rng: np.random.Generator) -> Iterator[FloatArray]:
+def free_poses(scene, count, rng):
     """Poses (3,) where the robot can stand."""
     while count:
         place = rng.uniform(*scene.room.bounds)
@@ -93,13 +82,13 @@ def free_poses(scene: Scene, count: int, rng: np.random.Generator) -> Iterator[F
             yield np.array([*place, rng.uniform(-np.pi, np.pi)])
 
 
-def camera_image(world: RobotWorld, pose: FloatArray, pan_rad: float) -> CameraFrame:
+def camera_image(world, pose, pan_rad):
     """One image of a standing robot, as a bag would hold it."""
     frame = world.frame_at(pose, pan_rad)
     return replace(frame, image=as_jpeg(frame.image))
 
 
-def main() -> int:
+def main():
     """Print a table."""
     parser = rooms_parser(__doc__)
     parser.add_argument('--poses', type=int, default=20, help='in each room (20)')

@@ -7,8 +7,6 @@ The robot is given a ``room.yaml`` as a person measures it; the exact one with `
 with 1 if a room misses a bound. Seeds are not used anywhere else: nothing is fitted to them.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 from pathlib import Path
@@ -37,9 +35,7 @@ BOUNDS = {
 }
 
 
-def run_room(
-    seed: int, folder: Path, *options: str, exact: bool = False
-) -> dict[str, float | bool]:
+def run_room(seed, folder, *options, exact=False):
     """Take the commands that a user would, in `folder`; what came of it."""
     changes = ['--light-change', '--exchange', EXCHANGED, *(['--exact'] if exact else [])]
     command('simulate', '--out', folder, '--overwrite', '--seed', seed, *changes, *options)
@@ -59,12 +55,12 @@ def run_room(
     }
 
 
-def meets_bounds(row: dict[str, float | bool]) -> bool:
+def meets_bounds(row):
     """Whether a room is as good as every room has to be."""
     return within({**BOUNDS, 'nees': (row['nees_low'], row['nees_high'])}, row)
 
 
-def over_by_chance(nees_high: float) -> float:
+def over_by_chance(nees_high):
     """
     Probability that an estimator at the bound is over `MAX_CRLB_RATIO` in a room.
 
@@ -72,14 +68,14 @@ def over_by_chance(nees_high: float) -> float:
     is shown by the upper end of the 95 % interval of their mean NEES, which is 3 on average.
     """
 
-    def excess(count: float) -> float:
+    def excess(count):
         return float(3.0 * chi2.ppf(0.975, count) / count - nees_high)
 
     count = brentq(excess, 0.5, 1e4)
     return float(chi2.sf(MAX_CRLB_RATIO**2 * count, count))
 
 
-def _target_elected(folder: Path) -> bool:
+def _target_elected(folder):
     """Whether a landmark lies on the specialised target."""
     scene = json.loads((folder / 'scene.json').read_text())
     target = next(item for item in scene['items'] if item['kind'] == 'target')
@@ -89,7 +85,7 @@ def _target_elected(folder: Path) -> bool:
     return bool(away.min() < 0.5 * max(target['size']))
 
 
-def main() -> int:
+def main():
     """Print a table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--seeds', type=int, nargs='+', required=True)

@@ -5,8 +5,6 @@ The recorded room of bags/ and a simulated one, beside the figures that are kept
 ``baseline.json``; with ``--write`` it keeps what it measures. `make test` runs the same.
 """
 
-from __future__ import annotations
-
 import argparse
 import json
 from pathlib import Path
@@ -25,26 +23,26 @@ FIGURES = {'fused_mm': -1, 'fused_deg': -1, 'crlb_ratio': -1, 'availability': 1,
 Figures = dict[str, float]
 
 
-def recorded_room(out: Path) -> Figures:
+def recorded_room(out):
     """Learn and drive in the room of bags/; `learn.json`, `run.json` and the map stay in `out`."""
     learn(BAGS, out / 'map')
     evaluate(BAGS, out / 'map', '--report', out / 'run.html', start=start_of(BAGS))
     return recorded_figures(out)
 
 
-def recorded_figures(out: Path) -> Figures:
+def recorded_figures(out):
     """Read what `recorded_room` left."""
     figures = figures_of(json.loads((out / 'run.json').read_text()))
     return {name: figures[name] for name in FIGURES}
 
 
-def simulated_room(out: Path) -> Figures:
+def simulated_room(out):
     """Simulate a room with a camera of few pixels, learn it and drive in it."""
     row = run_room(SEED, out, '--camera', str(CAMERA), '--drive-seconds', '20')
     return {name: float(row[name]) for name in FIGURES}
 
 
-def worse(name: str, figures: Figures) -> list[str]:
+def worse(name, figures):
     """Figures that are over 5 % worse than those kept, one line each."""
     kept: Figures = json.loads(BASELINE.read_text())[name]
     return [
@@ -54,7 +52,7 @@ def worse(name: str, figures: Figures) -> list[str]:
     ]
 
 
-def main() -> int:
+def main():
     """Print what is worse, or keep what is measured."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--write', action='store_true', help='keep these figures')

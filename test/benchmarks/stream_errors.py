@@ -1,12 +1,8 @@
 """Errors of whole streams, put into a recorded drive, and the cause that should be named."""
 
-from __future__ import annotations
-
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
-from pathlib import Path
-from typing import Any
 
 import cv2
 from drive_faults import write_bag
@@ -28,7 +24,6 @@ import numpy as np
 
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages import decode
-from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.bags.definitions import relative_name
 
 DEGREES = 180.0 / np.pi
@@ -69,10 +64,10 @@ trajectory = partial(StreamError, ('sweep/trajectory',))
 swept = partial(StreamError, ('sweep/image/compressed',))
 
 
-def mount(names: str, finding: str, **values: Any) -> StreamError:
+def mount(names, finding, **values):
     """Error of robot.yaml; a function is applied to the right value."""
 
-    def changed(right: PanTiltMount) -> PanTiltMount:
+    def changed(right):
         wrong = {k: v(getattr(right, k)) if callable(v) else v for k, v in values.items()}
         return replace(right, **wrong)
 
@@ -80,7 +75,7 @@ def mount(names: str, finding: str, **values: Any) -> StreamError:
 
 
 # fmt: off
-def of_drives() -> dict[str, dict[str, StreamError]]:
+def of_drives():
     """
     Errors of drives by list, in the order in which the lists were written down.
 
@@ -392,7 +387,7 @@ def of_drives() -> dict[str, dict[str, StreamError]]:
     }
 
 
-def of_sweeps() -> dict[str, StreamError]:
+def of_sweeps():
     """Errors of recorded sweeps, which users reported."""
     return {
         'pan reversed': trajectory(m.swept(-1.0), 'pan sign', 'reversed'),
@@ -411,10 +406,10 @@ def of_sweeps() -> dict[str, StreamError]:
 # fmt: on
 
 
-def write_drive(bag: Bag, path: Path, error: StreamError) -> Path:
+def write_drive(bag, path, error):
     """Write a drive, or sweeps, with an error in it."""
 
-    def altered() -> Iterator[tuple[str, Any, int]]:
+    def altered():
         for entry in bag.messages():
             topic, message, logged = relative_name(entry.topic), entry.message, entry.stamp_ns
             if topic in error.topics:

@@ -18,8 +18,6 @@ the map's frame, height and scale to the truth, where it is likeliest:
 ==============  ==================================================================================
 """
 
-from __future__ import annotations
-
 import argparse
 from dataclasses import replace
 from itertools import product
@@ -35,26 +33,22 @@ import numpy as np
 from scipy.linalg import block_diag
 import yaml
 
-from landmark_nav.arrays import BoolArray
 from landmark_nav.evaluation.learning_report import truth_of_bag
-from landmark_nav.evaluation.metrics import PoseTrack
 from landmark_nav.evaluation.run_report import align, Alignment
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.se2 import rot_z, rotation
-from landmark_nav.geometry.walls import Room
 from landmark_nav.messages import encode
 from landmark_nav.messages.factory import rosbag_factory
 from landmark_nav.simulation.furnishing import generate_scene
-from landmark_nav.simulation.scene import Scene
 from landmark_nav.storage.bags import Bag, BagWriter
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.setup_files import load_room, wall_entry
-from landmark_nav.types import FloatArray, Landmark, LandmarkMap, OdometrySample
+from landmark_nav.types import OdometrySample
 
 STEP_NS = 50_000_000
 
 
-def with_odometry(source: Path, path: Path, scale: float = 1.0) -> Path:
+def with_odometry(source, path, scale=1.0):
     """A bag of two sweeps with odometry whose ways are too long by `scale`."""
     truth = truth_of_bag(Bag(source))
     first, last = truth.poses[0], truth.poses[-1]
@@ -94,7 +88,7 @@ WITHIN_M, WITHIN_RAD = 0.02, np.radians(0.5)
 THERE_M, THERE_RAD = 0.06, np.radians(3.0)
 
 
-def moved(room: Room, rng: np.random.Generator) -> Room:
+def moved(room, rng):
     """The same room, each wall off by `OFF_M` one way or the other, and marked so."""
     off = rng.choice([-OFF_M, OFF_M], len(room.walls))
     starts, ends = (
@@ -113,7 +107,7 @@ def moved(room: Room, rng: np.random.Generator) -> Room:
     return replace(room, walls=walls)
 
 
-def sources(way: str, recording: Path, folder: Path, seed: int) -> list[object]:
+def sources(way, recording, folder, seed):
     """Recording of the sweeps and what `learn` is given with it."""
     if way == 'tape':
         return [recording / 'learn', '--room', recording / 'room.yaml']
@@ -135,7 +129,7 @@ def sources(way: str, recording: Path, folder: Path, seed: int) -> list[object]:
     return [recording / 'learn', '--room', folder / 'room.yaml']
 
 
-def run(way: str, recording: Path, folder: Path, seed: int) -> dict[str, float]:
+def run(way, recording, folder, seed):
     """Learn and drive in one room; figures after alignment where the map has its own frame."""
     command(
         'learn', *sources(way, recording, folder, seed), '--robot', recording / 'robot.yaml',
@@ -172,17 +166,17 @@ def run(way: str, recording: Path, folder: Path, seed: int) -> dict[str, float]:
     }
 
 
-def frame_in_truth(sweeps: FloatArray, truth: PoseTrack) -> Alignment:
+def frame_in_truth(sweeps, truth):
     """Frame and metre of a map in those of the truth, by poses (n, 3) of its sweeps."""
     places = np.flatnonzero(np.hypot(*np.diff(truth.poses[:, :2], axis=0).T) > 0.05) + 1
     return align(sweeps, truth.poses[[0, *places]], scaled=True)
 
 
-def moved_landmarks(learned: LandmarkMap, frame: Alignment) -> list[Landmark]:
+def moved_landmarks(learned, frame):
     """Landmarks in the frame and the metre of the truth; the eye keeps its height."""
     turn, eye_m = rot_z(frame.pose[2]), learned.landmarks[0].viewpoint[2]
 
-    def placed(points: FloatArray) -> FloatArray:
+    def placed(points):
         own = (points - [0.0, 0.0, eye_m]) / frame.scale
         return np.asarray(own @ turn.T + [*frame.pose[:2], eye_m])
 
@@ -199,9 +193,7 @@ def moved_landmarks(learned: LandmarkMap, frame: Alignment) -> list[Landmark]:
     ]  # fmt: skip
 
 
-def against_truth(
-    learned: LandmarkMap, own_frame: Alignment | None, scene: Scene, found: Room
-) -> dict[str, float]:
+def against_truth(learned, own_frame, scene, found):
     """Landmarks and facades beside the room as it is."""
     walls = TrueWalls(scene)
     frame = own_frame or Alignment(np.zeros(3), 1.0)
@@ -238,9 +230,7 @@ def against_truth(
     }
 
 
-def facades_against_truth(
-    found: Room, frame: Alignment, scene: Scene, landmarks: FloatArray
-) -> dict[str, float]:
+def facades_against_truth(found, frame, scene, landmarks):
     """Found share of the wall that carries landmarks (n, 3), and share of false facades."""
     facades = [
         frame.pose[:2] + np.array([w.start, w.end]) / frame.scale @ rotation(frame.pose[2]).T
@@ -286,9 +276,7 @@ def facades_against_truth(
     return {'carried': carried * STEP_M, 'facades': share, 'nowhere': float(nowhere)}
 
 
-def near(
-    points: FloatArray, side: FloatArray, ends: FloatArray, within_m: float, within_rad: float
-) -> BoolArray:
+def near(points, side, ends, within_m, within_rad):
     """Which points (n, 2) along `side` (2,) are on a segment (2, 2) of that direction."""
     along = (ends[1] - ends[0]) / np.hypot(*(ends[1] - ends[0]))
     off = points - ends[0]
@@ -299,7 +287,7 @@ def near(
     return np.asarray(level & inside & (aside < within_m))
 
 
-def main() -> int:
+def main():
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument('--seeds', nargs='*', type=int, default=[])

@@ -1,8 +1,5 @@
 """Bounds that every input keeps: 10 s, 1 GB, no traceback, one line."""
 
-from __future__ import annotations
-
-from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 import os
 from pathlib import Path
@@ -27,7 +24,7 @@ FUZZ = settings(
 
 
 @contextmanager
-def memory_limit() -> Iterator[None]:
+def memory_limit():
     """Let the process grow by 1 GB: what asks for more fails instead of filling the machine."""
     pages = int(Path('/proc/self/statm').read_text(encoding='ascii').split()[0])
     before = resource.getrlimit(resource.RLIMIT_AS)
@@ -40,10 +37,10 @@ def memory_limit() -> Iterator[None]:
 
 
 @contextmanager
-def time_limit() -> Iterator[None]:
+def time_limit():
     """Raise `TimeoutError` where an input takes too long."""
 
-    def ring(*_: object) -> None:
+    def ring(*_):
         raise TimeoutError(f'an input took over {MAX_S} s')
 
     before = signal.signal(signal.SIGALRM, ring)
@@ -55,7 +52,7 @@ def time_limit() -> Iterator[None]:
         signal.signal(signal.SIGALRM, before)
 
 
-def enter(read: Callable[[], T]) -> T | None:
+def enter(read):
     """Call what reads an input: it returns, or refuses in one line; anything else fails."""
     with time_limit():
         try:

@@ -1,7 +1,5 @@
 """Every fuzz test runs under a memory limit."""
 
-from __future__ import annotations
-
 from bounds import memory_limit
 import pytest
 

@@ -1,7 +1,5 @@
 """Valid inputs to start from: a small room, its map, a message of each topic."""
 
-from __future__ import annotations
-
 from functools import cache
 from typing import Any
 
@@ -13,7 +11,7 @@ from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.messages import encode
 from landmark_nav.messages.clouds import GlobalPose
-from landmark_nav.messages.factory import MessageFactory, rosbag_factory
+from landmark_nav.messages.factory import rosbag_factory
 from landmark_nav.types import (
     Detections,
     Expectation,
@@ -56,7 +54,7 @@ ROBOT_YAML: dict[str, Any] = {
 MOUNT = PanTiltMount((0.08, 0.0, 1.1), optical_center_offset=(0.01, 0.0, 0.0), pan_sigma_rad=2e-4)
 
 
-def landmark_map(count: int = 6) -> LandmarkMap:
+def landmark_map(count=6):
     """Landmarks on the south wall of the room."""
     rng = np.random.default_rng(0)
     landmarks = tuple(
@@ -72,12 +70,12 @@ def landmark_map(count: int = 6) -> LandmarkMap:
 
 
 @cache
-def recorded() -> dict[str, Any]:
+def recorded():
     """Messages as a bag holds them."""
     return messages(rosbag_factory())
 
 
-def messages(make: MessageFactory, stamp_ns: int = 10 * SECOND_NS) -> dict[str, Any]:
+def messages(make, stamp_ns=10 * SECOND_NS):
     """Valid message of each topic that some node or a bag reads, by topic, of one stamp."""
     rng = np.random.default_rng(1)
     image = rng.integers(0, 255, (CAMERA.height, CAMERA.width, 3), dtype=np.uint8)

@@ -1,7 +1,5 @@
 """Hostile inputs: bytes that are changed, values that are odd, messages with such values."""
 
-from __future__ import annotations
-
 import struct
 from typing import Any
 
@@ -13,6 +11,8 @@ from landmark_nav.messages.factory import default_typestore
 
 __all__ = ['changed_bytes', 'changed_message', 'changed_yaml']
 
+# A new store compiles its serialisers anew.
+_STORE = default_typestore()
 _WORDS = (
     b'!!int zz', b'!!float x', b'!!bool 7', b'!!timestamp q', b'!!python/object:os.system',
     b'&a [*a]', b'&a', b'*a', b'<<: *a', b'9' * 400, b'1e400', b'-1', b'0', b'.nan', b'-.inf',
@@ -22,7 +22,7 @@ _WORDS = (
 
 
 @st.composite
-def changed_bytes(draw: st.DrawFn, valid: bytes, most: int = 8) -> bytes:
+def changed_bytes(draw, valid, most=8):
     """Bytes of a valid file with up to `most` changes, or cut off."""
     data = bytearray(valid)
     for _ in range(draw(st.integers(1, most))):
@@ -53,7 +53,7 @@ _ODD: tuple[Any, ...] = (
 
 
 @st.composite
-def changed_yaml(draw: st.DrawFn, valid: Any, most: int = 3) -> Any:
+def changed_yaml(draw, valid, most=3):
     """Document with up to `most` of its values replaced, removed or doubled."""
     document = _copied(valid)
     for _ in range(draw(st.integers(1, most))):
@@ -83,7 +83,7 @@ def changed_yaml(draw: st.DrawFn, valid: Any, most: int = 3) -> Any:
     return document
 
 
-def _copied(value: Any) -> Any:
+def _copied(value):
     if isinstance(value, dict):
         return {key: _copied(entry) for key, entry in value.items()}
     return [_copied(entry) for entry in value] if isinstance(value, list) else value
@@ -95,7 +95,7 @@ _BAD_FLOATS = (float('nan'), float('inf'), float('-inf'))
 
 
 @st.composite
-def changed_message(draw: st.DrawFn, type_name: str, valid: Any, most: int = 3) -> Any:
+def changed_message(draw, type_name, valid, most=3):
     """Copy of a message, in rosbags' form, with up to `most` fields replaced; values fit types."""
     message = _as_rosbags(type_name, valid)
     for _ in range(draw(st.integers(1, most))):
@@ -103,9 +103,9 @@ def changed_message(draw: st.DrawFn, type_name: str, valid: Any, most: int = 3) 
     return message
 
 
-def _as_rosbags(type_name: str, message: Any) -> Any:
+def _as_rosbags(type_name, message):
     """Copy of a message in rosbags' own, mutable, form."""
-    fields = default_typestore().fielddefs[type_name][1]
+    fields = _STORE.fielddefs[type_name][1]
     copied = {name: _copied_field(kind, getattr(message, name)) for name, kind in fields}
     return _Message(type_name, copied)
 
@@ -113,12 +113,12 @@ def _as_rosbags(type_name: str, message: Any) -> Any:
 class _Message:
     """A message whose fields can be replaced."""
 
-    def __init__(self, type_name: str, fields: dict[str, Any]) -> None:
+    def __init__(self, type_name, fields):
         self.type_name = type_name
         self.__dict__.update(fields)
 
 
-def _copied_field(description: Any, value: Any) -> Any:
+def _copied_field(description, value):
     kind, content = description
     if kind == Nodetype.NAME:
         return _as_rosbags(content, value)
@@ -130,12 +130,12 @@ def _copied_field(description: Any, value: Any) -> Any:
     return [_copied_field(element, entry) for entry in value]
 
 
-def _dtype(name: str) -> Any:
+def _dtype(name):
     return np.dtype({'bool': 'bool', 'byte': 'u1', 'char': 'u1'}.get(name, name))
 
 
-def _change(draw: st.DrawFn, type_name: str, message: Any) -> None:
-    name, description = draw(st.sampled_from(default_typestore().fielddefs[type_name][1]))
+def _change(draw, type_name, message):
+    name, description = draw(st.sampled_from(_STORE.fielddefs[type_name][1]))
     kind, content = description
     value = getattr(message, name)
     if kind == Nodetype.NAME:
@@ -146,7 +146,7 @@ def _change(draw: st.DrawFn, type_name: str, message: Any) -> None:
         setattr(message, name, _changed_array(draw, content[0], value, kind == Nodetype.ARRAY))
 
 
-def _changed_array(draw: st.DrawFn, element: Any, value: Any, fixed: bool) -> Any:
+def _changed_array(draw, element, value, fixed):
     kinds = ('entry', 'entry', 'fill') if fixed else ('entry', 'fill', 'length')
     what, count = draw(st.sampled_from(kinds)), len(value)
     if what == 'length':
@@ -175,7 +175,7 @@ def _changed_array(draw: st.DrawFn, element: Any, value: Any, fixed: bool) -> An
     return value
 
 
-def _scalar(name: str) -> st.SearchStrategy[Any]:
+def _scalar(name):
     if name == 'string':
         return st.one_of(st.sampled_from(_TEXTS), st.text(max_size=12))
     dtype = _dtype(name)

@@ -1,7 +1,5 @@
 """Every file format that is read, with hostile contents: it is read, or refused in one line."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from copy import deepcopy
 from pathlib import Path
@@ -35,6 +33,7 @@ from landmark_nav.storage.maps import load_map, save_map
 from landmark_nav.storage.mrclam import read_mrclam
 from landmark_nav.storage.setup_files import load_camera, load_robot, load_room
 
+STORE = default_typestore()
 BAG_TOPICS = ('camera/image_raw/compressed', 'camera/camera_info', 'joint_states', 'odom')
 CAMERA_YAML = {
     'image_width': 64,
@@ -138,7 +137,6 @@ def test_mrclam_logs(data, scratch):
 def write_bag(path, kind, messages):
     """Write one message of each topic three times; returns the file that holds them."""
     stamps = range(10 * corpus.SECOND_NS, 13 * corpus.SECOND_NS, corpus.SECOND_NS)
-    store = default_typestore()
     if kind == 'ros1':
         old = get_typestore(Stores.ROS1_NOETIC)
         with Ros1Writer(path) as bag:
@@ -154,9 +152,9 @@ def write_bag(path, kind, messages):
     plugin = StoragePlugin.MCAP if kind == 'mcap' else StoragePlugin.SQLITE3
     with Ros2Writer(path, version=9, storage_plugin=plugin) as bag:
         for topic, message in messages.items():
-            connection = bag.add_connection(f'/{topic}', TOPIC_TYPES[topic], typestore=store)
+            connection = bag.add_connection(f'/{topic}', TOPIC_TYPES[topic], typestore=STORE)
             for stamp in stamps:
-                bag.write(connection, stamp, store.serialize_cdr(message, TOPIC_TYPES[topic]))
+                bag.write(connection, stamp, serialized(topic, message))
     return next(file for file in path.iterdir() if file.name != 'metadata.yaml')
 
 
@@ -200,17 +198,17 @@ def check_bag(path):
 def write_raw(path, sent):
     """Write a bag of topics, times of recording and serialised messages."""
     shutil.rmtree(path, ignore_errors=True)
-    store, connections = default_typestore(), {}
+    connections: dict[str, Any] = {}
     with Ros2Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as bag:
         for topic, stamp, raw in sent:
             if topic not in connections:
                 kind = TOPIC_TYPES[topic]
-                connections[topic] = bag.add_connection(f'/{topic}', kind, typestore=store)
+                connections[topic] = bag.add_connection(f'/{topic}', kind, typestore=STORE)
             bag.write(connections[topic], stamp, raw)
 
 
 def serialized(topic, message):
-    return default_typestore().serialize_cdr(message, TOPIC_TYPES[topic])
+    return STORE.serialize_cdr(message, TOPIC_TYPES[topic])
 
 
 def changed(data, topic):

@@ -1,7 +1,5 @@
 """Every topic of every node, with hostile messages: the node lives and takes no bad value in."""
 
-from __future__ import annotations
-
 from contextlib import ExitStack
 from importlib import import_module
 import os

@@ -1,7 +1,5 @@
 """Fixtures of node tests: a ROS domain for each test, processes that end with it, a client."""
 
-from __future__ import annotations
-
 import fcntl
 from importlib import import_module
 from importlib.util import find_spec

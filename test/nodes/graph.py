@@ -1,7 +1,5 @@
 """Nodes of a test in one executor, in its own process; what nodes fuse beside the truth."""
 
-from __future__ import annotations
-
 import time
 from typing import Any, TypeVar
 

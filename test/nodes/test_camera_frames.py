@@ -1,7 +1,5 @@
 """Images of either topic, joint states that are kept for them, and transforms."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from contextlib import suppress
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """Callbacks in several threads, and `main` of the nodes when rclpy raises errors."""
 
-from __future__ import annotations
-
 import os
 import signal
 import subprocess

@@ -1,7 +1,5 @@
 """The fusion node with messages that are late, missing or older than the start."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 from typing import Any
 

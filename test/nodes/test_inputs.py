@@ -1,7 +1,5 @@
 """Reports of a node on its inputs: their publishers, what is missing, and what is wrong."""
 
-from __future__ import annotations
-
 import time
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Paths, markers and the debug image: bounded, and only for subscribers."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import cv2

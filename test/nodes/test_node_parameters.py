@@ -1,7 +1,5 @@
 """Parameters are declared from the dataclasses, checked, and read from YAML."""
 
-from __future__ import annotations
-
 import dataclasses
 from importlib import import_module
 from pathlib import Path

@@ -1,7 +1,5 @@
 """When the pose is searched without a request, and the camera turned for it."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 import time

@@ -1,7 +1,5 @@
 """A renamed topic serves nodes that only know its former name, once, with a warning."""
 
-from __future__ import annotations
-
 from itertools import count
 
 from rclpy.node import Node
@@ -18,7 +16,7 @@ class Watched(LandmarkNode):
     def __init__(self, name, context):
         super().__init__(name, 'test', context=context)
         self.warned: list[str] = []
-        self._warn_once = self.warned.append  # type: ignore[method-assign]
+        self._warn_once = self.warned.append
 
     def health(self):
         return Health(Level.OK, 'fine')

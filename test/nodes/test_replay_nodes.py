@@ -1,7 +1,5 @@
 """Recorded sweeps and drives go through the nodes, over DDS, by `bag_player`."""
 
-from __future__ import annotations
-
 import shutil
 from typing import Any
 
@@ -169,9 +167,7 @@ def test_sweeps_and_odometry_become_a_map_that_a_drive_goes_by(start, client, pl
     for name in (FUSION, LOCALIZER):
         start(name, robot_file=robot, use_sim_time=True)
     client.wait(
-        lambda: client.status_of(FUSION).values.get('landmarks', '0') != '0',
-        60.0,
-        'the map',
+        lambda: client.status_of(FUSION).values.get('landmarks', '0') != '0', 60.0, 'the map'
     )
     drive = truth_of_bag(Bag(BAGS / 'drive')).seen_from(truth.poses[0])
     play(BAGS / 'drive', 0.5)

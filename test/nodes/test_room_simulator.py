@@ -1,7 +1,5 @@
 """The simulated robot survives invalid commands and changes of the system time."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 import time

@@ -1,7 +1,5 @@
 """Running nodes survive restarts, another map, a replayed bag and a wrong start, over DDS."""
 
-from __future__ import annotations
-
 from contextlib import contextmanager
 from dataclasses import replace
 import json

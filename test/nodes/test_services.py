@@ -1,7 +1,5 @@
 """Services and bad input: nodes answer with a reason and go on."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 import shutil
 import signal

@@ -1,7 +1,5 @@
 """Sweeps over DDS: of a small simulated robot, raw or compressed."""
 
-from __future__ import annotations
-
 import copy
 from threading import Thread
 from typing import Any
@@ -22,7 +20,6 @@ FRAMES = 8
 STEP_RAD = 0.25
 MOUNT = PanTiltMount((0.08, 0.0, 1.1))
 CAMERA = CameraModel(64, 48, 60.0, 60.0, 31.5, 23.5)
-
 
 # Texture with a mean of nothing: what is blank may well look the same in all directions.
 STRIPES = 20 * np.sign(np.arange(64) % 8 - 3.5)

@@ -1,7 +1,5 @@
 """Robot and base station on two hosts (network namespaces): the link is cut, and loses packets."""
 
-from __future__ import annotations
-
 from contextlib import ExitStack
 from pathlib import Path
 import shutil

@@ -1,7 +1,5 @@
 """`landmark-nav up`, `call`, `status`, `drive`: a robot brought up without ``ros2``."""
 
-from __future__ import annotations
-
 from contextlib import suppress
 import os
 import pty

@@ -1,7 +1,5 @@
 """What system tests share."""
 
-from __future__ import annotations
-
 import pytest
 
 from landmark_nav.cli import learn

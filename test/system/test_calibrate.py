@@ -2,6 +2,7 @@
 
 import json
 
+from drive_faults import recorded as recorded_messages
 from drive_faults import write_bag
 from harness import BAGS
 import numpy as np
@@ -9,7 +10,6 @@ import pytest
 
 from landmark_nav.calibration import NAMES
 from landmark_nav.cli.main import main
-from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.robot_files import load_calibration, save_calibration
 
 ROOM, LEARN, DRIVE = (str(BAGS / name) for name in ('room.yaml', 'learn', 'drive'))
@@ -80,7 +80,7 @@ def test_the_report_states_what_was_shown(calibrated):
 
 def test_a_sweep_alone_shows_the_camera_and_not_the_lever(calibrated, tmp_path):
     given, out = str(calibrated[0] / 'given.yaml'), tmp_path / 'robot.yaml'
-    sent = [(e.topic, e.message, e.stamp_ns) for e in Bag(LEARN).messages()]
+    sent = recorded_messages(LEARN)
     ends = next(k for k, one in enumerate(sent) if one[0] == '/sweep/trajectory')
     bag = str(write_bag(tmp_path / 'sweep', sent[: ends + 1]))
     assert main(['calibrate', bag, '--room', ROOM, '--robot', given, '--out', str(out)]) == 0
@@ -103,7 +103,7 @@ def test_what_cannot_be_calibrated_is_reported_in_a_line(bag, words, tmp_path, c
 
 def test_what_a_robot_that_stands_does_not_show_stays_as_given(recorded, tmp_path):
     """The first third of a second of a drive: nothing of lever and pan zero."""
-    sent = [(e.topic, e.message, e.stamp_ns) for e in Bag(BAGS / 'drive').messages()]
+    sent = recorded_messages(DRIVE)
     write_bag(tmp_path / 'still', [one for one in sent if one[2] < sent[0][2] + 3 * 10**8])
     robot, out = str(BAGS / 'robot.yaml'), tmp_path / 'out.yaml'
     args = ['calibrate', str(tmp_path / 'still'), '--map', str(recorded / 'map')]

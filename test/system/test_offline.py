@@ -5,6 +5,7 @@ import json
 import re
 
 import cv2
+from drive_faults import recorded as sent
 from drive_faults import write_bag
 from harness import BAGS, start_of
 from message_changes import at_origin, driven, moved
@@ -20,8 +21,7 @@ START = tuple(map(str, start_of(BAGS)))
 
 def rewrite(source, target, change):
     """Copy a bag; `change` gets topic, message and log time, and may leave it out with None."""
-    entries = ((e.topic, e.message, e.stamp_ns) for e in Bag(source).messages())
-    changed = ((topic, change(topic, message, log), log) for topic, message, log in entries)
+    changed = ((topic, change(topic, message, log), log) for topic, message, log in sent(source))
     return str(write_bag(target, (one for one in changed if one[1] is not None)))
 
 
@@ -134,7 +134,11 @@ def test_unknown_cameras_and_encodings_are_refused_by_name(tmp_path, capsys, top
 def test_truth_in_another_frame_or_unit_is_named(
     recorded, tmp_path, caplog, recwarn, change, reported
 ):
+    half_ns = Bag(BAGS / 'drive').start_ns + 7 * 10**9
+
     def of_truth(topic, message, log_ns):
+        if log_ns > half_ns:
+            return None
         return change(message) if topic == '/ground_truth/odom' else message
 
     bag = rewrite(BAGS / 'drive', tmp_path / 'truth', of_truth)
@@ -144,7 +148,7 @@ def test_truth_in_another_frame_or_unit_is_named(
     assert bool(re.search('ground_truth.* frame', said)) == bool(reported)
     assert re.search(reported, said)
     assert 'Warning: ' not in said
-    assert json.loads(report.read_text())['frames'] > 60
+    assert json.loads(report.read_text())['frames'] > 30
 
 
 def test_sweeps_show_what_camera_info_and_robot_yaml_are_off_by(few, tmp_path):

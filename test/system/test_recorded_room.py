@@ -195,8 +195,7 @@ def test_the_estimator_is_as_good_where_the_mount_is_exact(driven):
 @pytest.mark.parametrize(
     'error',
     [
-        {'axis_yaw': 0.0122},
-        {'center_x': 0.03, 'center_y': 0.01},
+        {'axis_yaw': 0.0122, 'center_x': 0.03, 'center_y': 0.01},
         {'axis_pitch': 0.014, 'camera_roll': 0.014, 'axis_z': 0.03},
     ],
 )

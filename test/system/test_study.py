@@ -56,8 +56,8 @@ FLAT = Path(__file__).parents[3] / 'shared' / 'data' / 'flat'
 @pytest.mark.skipif(not FLAT.is_dir(), reason='needs ../shared/data/flat')
 def test_a_flat_is_learned_whatever_matches(tmp_path):
     wide = tmp_path / 'wide.yaml'
-    # Stereo that takes any match.
-    limits = 'stereo: {max_displaced_px: 8.0}\n'
+    # Stereo that takes any match, of few candidates.
+    limits = 'stereo: {max_displaced_px: 8.0}\nattention: {candidates: 70}\n'
     wide.write_text(limits + (FLAT / 'relaxed.yaml').read_text().split('\n', 1)[1])
     files = ['--room', str(FLAT / 'room.yaml'), '--robot', str(FLAT / 'robot.yaml')]
     out = tmp_path / 'map'

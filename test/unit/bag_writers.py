@@ -1,7 +1,5 @@
 """Small bags: sweeps and drives of a camera that sees grey levels."""
 
-from __future__ import annotations
-
 from contextlib import contextmanager
 
 from mcap.writer import Writer as RawWriter

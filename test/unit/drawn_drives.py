@@ -1,10 +1,6 @@
 """Drives whose truth is known: points in a room, wheels and a panning camera, as modelled."""
 
-from __future__ import annotations
-
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 from builders import bare_landmark, nees, pose_error
 import numpy as np
@@ -16,14 +12,14 @@ from landmark_nav.geometry.se2 import compose
 from landmark_nav.localization.estimator.config import EstimatorConfig
 from landmark_nav.localization.estimator.factors import CALIBRATION, ImagePoints, project
 from landmark_nav.localization.estimator.filter import JointFilter
-from landmark_nav.localization.estimator.state import State, Update
+from landmark_nav.localization.estimator.state import Update
 from landmark_nav.localization.odometry.noise import (
     Motion,
     OdometryNoiseConfig,
     sensed_variances,
     slip_variance,
 )
-from landmark_nav.types import FloatArray, LandmarkMap, PoseEstimate
+from landmark_nav.types import FloatArray, LandmarkMap, OdometrySample, PoseEstimate
 
 NS = 10**9
 MOUNT = PanTiltMount((0.08, 0.0, 1.1))
@@ -46,7 +42,7 @@ class Drive:
     poses: list[FloatArray] = field(default_factory=list)
 
 
-def point_map(rng: np.random.Generator, count: int = 40, sigma_m: float = 0.002) -> LandmarkMap:
+def point_map(rng, count=40, sigma_m=0.002):
     """Landmarks on the walls of a room of 6 x 4 m, with own errors and two that they share."""
     along, wall = rng.uniform(0.05, 0.95, count), rng.integers(0, 4, count)
     x = np.choose(wall, [6 * along, np.full(count, 6.0), 6 * along, np.zeros(count)])
@@ -64,21 +60,21 @@ def point_map(rng: np.random.Generator, count: int = 40, sigma_m: float = 0.002)
     )
 
 
-def drawn_calibration(rng: np.random.Generator, prior: Calibration) -> Calibration:
+def drawn_calibration(rng, prior):
     """A calibration that the prior allows."""
     return replace(prior, values=prior.values + prior.sigmas * rng.normal(size=len(NAMES)))
 
 
 def simulated(
-    seed: int,
-    prior: Calibration | None = None,
-    true: Calibration | None = None,
-    seconds: float = 40.0,
-    pixel_sigma: float = 2e-4,
-    noise: float = 1.0,
-    outliers: float = 0.0,
-    map_sigma_m: float = 0.002,
-) -> Drive:
+    seed,
+    prior=None,
+    true=None,
+    seconds=40.0,
+    pixel_sigma=2e-4,
+    noise=1.0,
+    outliers=0.0,
+    map_sigma_m=0.002,
+):
     """Draw a drive by the default noise of floor and wheels; `noise` 0 leaves out all of it."""
     rng = np.random.default_rng(seed)
     config, wheels = EstimatorConfig(), OdometryNoiseConfig()
@@ -100,9 +96,7 @@ def simulated(
         spread = np.sqrt(sensed_variances(step, wheels).sum(axis=0))
         pose = compose(pose, motion + noise * spread * rng.normal(size=3))
 
-        def walked(
-            value: Any, sigma: float, length_m: float, way_m: float = float(forward)
-        ) -> Any:
+        def walked(value, sigma, length_m, way_m=float(forward)):
             """Value of a Gauss-Markov process, a way later."""
             kept = np.exp(-way_m / length_m)
             return kept * value + sigma * np.sqrt(1 - kept**2) * rng.normal(size=np.shape(value))
@@ -131,7 +125,7 @@ def simulated(
     return drive
 
 
-def _toward_eight(seconds: float, pose: FloatArray) -> Motion:
+def _toward_eight(seconds, pose):
     """Motion of a robot that follows a point on a curve of eight."""
     goal = [3.0 + 1.6 * np.sin(0.16 * seconds), 2.0 + 0.9 * np.sin(0.32 * seconds)]
     toward = goal - pose[:2]
@@ -141,13 +135,26 @@ def _toward_eight(seconds: float, pose: FloatArray) -> Motion:
     return Motion(PERIOD_S * np.array([forward, 0.0, turn]), PERIOD_S)
 
 
-def _panned(seconds: float, count: int, sigma: float) -> ImagePoints:
+def _panned(seconds, count, sigma):
     """An image of a camera that looks to and fro, without its points."""
     return ImagePoints(
         round(seconds * NS), np.arange(count), np.zeros((count, 2)),
         np.tile(max(sigma, 1e-9) ** 2 * np.eye(2), (count, 1, 1)),
         np.full(count, 2.0 * np.sin(0.5 * seconds)), pan_rate_rad_s=np.cos(0.5 * seconds),
     )  # fmt: skip
+
+
+def sensed(drive):
+    """A drive as a robot sends it: odometry from an origin of its own, and images."""
+    pose, stamp = np.zeros(3), 0
+    yield OdometrySample(stamp, pose)
+    for event in drive.events:
+        if isinstance(event, Motion):
+            stamp, pose = stamp + round(event.seconds * NS), compose(pose, event.increment)
+            forward, _, turn = (event.increment / event.seconds).tolist()
+            yield OdometrySample(stamp, pose, forward, turn)
+        else:
+            yield event
 
 
 @dataclass
@@ -160,19 +167,19 @@ class Run:
     updates: list[Update]
 
     @property
-    def nees(self) -> FloatArray:
+    def nees(self):
         """Normalised squared errors, (n,)."""
         return nees(self.errors, self.covariances)
 
 
 def driven(
-    drive: Drive,
-    config: EstimatorConfig | None = None,
-    odometry: OdometryNoiseConfig | None = None,
-    prior: Calibration | None = None,
-    changed: Callable[[int, ImagePoints], ImagePoints] = lambda _, seen: seen,
-    after: Callable[[JointFilter, State], None] = lambda _joint, _moved: None,
-) -> Run:
+    drive,
+    config=None,
+    odometry=None,
+    prior=None,
+    changed=lambda _, seen: seen,
+    after=lambda _joint, _moved: None,
+):
     """Run the joint filter along a drive; `after` each image with the state before it."""
     joint = JointFilter(drive.landmark_map, prior or drive.prior, drive.start, config, odometry)
     errors, covariances, updates, stamp = [], [], [], 0

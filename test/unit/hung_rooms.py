@@ -1,7 +1,5 @@
 """Rooms with patches on their walls, seen from two places, for the adjustment."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 
 from builders import panorama_of
@@ -10,14 +8,13 @@ from scenes import rectangle_room
 
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.learning.adjustment.problem import AdjustmentConfig, wall_sections
-from landmark_nav.learning.adjustment.solution import adjust, Adjustment
+from landmark_nav.learning.adjustment.solution import adjust
 from landmark_nav.learning.reference_area.common_errors import joint_covariance
 from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
 from landmark_nav.learning.stereo.wall_patch import PatchMeasurement
-from landmark_nav.types import FloatArray, Panorama
+from landmark_nav.types import FloatArray
 
 ROOM = rectangle_room(6.0, 5.0)
-
 
 CONFIG = AdjustmentConfig()
 COMMON = CONFIG.azimuth_sigma_rad, CONFIG.tangent_sigma
@@ -25,7 +22,6 @@ COMMON = CONFIG.azimuth_sigma_rad, CONFIG.tangent_sigma
 AS_EXPECTED = AdjustmentConfig(camera_weight=1e9, place_weight=1e9, room_weight=1e9)
 # x, y, z, heading: one at the seam of angles.
 POSES = np.array([[2.1, 1.9, 1.1, 3.12], [3.9, 2.8, 1.1, -1.4]])
-
 
 PRIOR = np.diag([0.008, 0.008, 0.005, 0.003]) ** 2
 OWN_SIGMA = np.array([2e-4, 3e-4])
@@ -41,13 +37,8 @@ class World:
 
 
 def world_of(
-    rng: np.random.Generator,
-    count: int,
-    *,
-    flat: bool = False,
-    hanging_m: float = CONFIG.hanging_sigma_m,
-    relief_m: float = CONFIG.relief_sigma_m,
-) -> World:
+    rng, count, *, flat=False, hanging_m=CONFIG.hanging_sigma_m, relief_m=CONFIG.relief_sigma_m
+):
     """Landmarks on four walls; things hang differently far, and landmarks on them a little."""
     walls = [k % 4 for k in range(count)]
     points = np.empty((count, 3))
@@ -59,7 +50,7 @@ def world_of(
     return world if flat else world_hung(world, rng, hanging_m, relief_m)
 
 
-def panoramas_at(poses: FloatArray, covariance: FloatArray = PRIOR) -> list[Panorama]:
+def panoramas_at(poses, covariance=PRIOR):
     blank, cylinder = np.zeros((4, 16, 3), np.uint8), Cylinder(16, 4, 2.5, 7.5, 2.0)
     return [
         panorama_of(
@@ -70,9 +61,7 @@ def panoramas_at(poses: FloatArray, covariance: FloatArray = PRIOR) -> list[Pano
     ]  # fmt: skip
 
 
-def measurements_of(
-    world: World, rng: np.random.Generator | None, common: tuple[float, float] = COMMON
-) -> list[list[PatchMeasurement]]:
+def measurements_of(world, rng, common=COMMON):
     """The first view proposed each landmark; the other found it with its own noise as well."""
     groups = []
     for point in world.points:
@@ -94,33 +83,22 @@ def measurements_of(
     return groups
 
 
-def solve(
-    world: World,
-    measurements: list[list[PatchMeasurement]],
-    prior_poses: FloatArray,
-    config: AdjustmentConfig = CONFIG,
-) -> Adjustment:
+def solve(world, measurements, prior_poses, config=CONFIG):
     # From anywhere near by on the same stretch of wall.
     start = world.points + 0.05 * (ROOM.normals[world.walls] + [0.0, 0.0, 1.0])
     return adjusted(world, measurements, start, panoramas_at(prior_poses), config)
 
 
-def adjusted(
-    world: World,
-    measurements: list[list[PatchMeasurement]],
-    start: FloatArray,
-    panoramas: list[Panorama],
-    config: AdjustmentConfig = CONFIG,
-) -> Adjustment:
+def adjusted(world, measurements, start, panoramas, config=CONFIG):
     places = places_of(panoramas)
     return adjust(measurements, world.walls, start, panoramas, places, ROOM, config)
 
 
-def places_of(panoramas: list[Panorama]) -> FloatArray:
+def places_of(panoramas):
     return joint_covariance(panoramas, ROOM, ReferenceAreaConfig())
 
 
-def given_poses(world: World, rng: np.random.Generator, factor: float = 1.0) -> FloatArray:
+def given_poses(world, rng, factor=1.0):
     """Poses as the panoramas show them; most of the error in height is the camera's."""
     count = len(world.poses)
     error = rng.multivariate_normal(np.zeros(4), PRIOR, count)
@@ -129,17 +107,12 @@ def given_poses(world: World, rng: np.random.Generator, factor: float = 1.0) -> 
     return world.poses + factor * error
 
 
-def total_covariance(found: Adjustment) -> FloatArray:
+def total_covariance(found):
     loading = found.shared_loading
     return np.asarray(found.own_covariance + loading @ loading.swapaxes(-1, -2))
 
 
-def world_hung(
-    world: World,
-    rng: np.random.Generator,
-    hanging_m: float = CONFIG.hanging_sigma_m,
-    relief_m: float = CONFIG.relief_sigma_m,
-) -> World:
+def world_hung(world, rng, hanging_m=CONFIG.hanging_sigma_m, relief_m=CONFIG.relief_sigma_m):
     """The world with its landmarks hung anew before the walls."""
     thing = wall_sections(world.points, world.walls, ROOM, CONFIG.hanging_length_m)
     off = rng.normal(0.0, CONFIG.common_hanging_sigma_m) + rng.normal(

@@ -1,8 +1,5 @@
 """Seeded drives past walls of posters: a small camera, a map a few millimetres off."""
 
-from __future__ import annotations
-
-from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -11,14 +8,7 @@ from scenes import draw_frame, rectangle_room, textured_room, true_landmark
 from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.types import (
-    CameraFrame,
-    Expectation,
-    FloatArray,
-    LandmarkMap,
-    OdometrySample,
-    PoseEstimate,
-)
+from landmark_nav.types import Expectation, FloatArray, LandmarkMap, OdometrySample, PoseEstimate
 
 LENS = CameraModel(
     400, 300, 330.0, 330.0, 200.0, 150.0, distortion=(-0.15, 0.05, 0.001, -0.001, 0.0)
@@ -30,12 +20,11 @@ START = np.array([1.6, 1.4, 0.3])
 START_SIGMA = np.array([0.03, 0.03, 0.01])
 MAP_SIGMA_M = 0.003
 
-
 ACROSS = (-0.32, -0.2, -0.05, 0.08, 0.2, 0.33)
 FRAME_NS, ODOMETRY_NS = 400_000_000, 50_000_000
 
 
-def known_map(rng: np.random.Generator) -> LandmarkMap:
+def known_map(rng):
     """Six landmarks a wall, each a few millimetres off."""
     viewpoint = np.array([2.5, 2.2, 1.15])
     landmarks = []
@@ -62,7 +51,7 @@ class Step:
     odometry: OdometrySample
 
 
-def drive(rng: np.random.Generator, seconds: float) -> Iterator[Step]:
+def drive(rng, seconds):
     """Winding drive whose odometry runs 2 % long, drifts and is noisy."""
     pose, wheel = START.copy(), np.zeros(3)
     dt = ODOMETRY_NS * 1e-9
@@ -75,17 +64,15 @@ def drive(rng: np.random.Generator, seconds: float) -> Iterator[Step]:
         wheel = se2.compose(wheel, felt)
 
 
-def camera_image(
-    pose: FloatArray, pan: float, rng: np.random.Generator | None = None
-) -> CameraFrame:
+def camera_image(pose, pan, rng=None):
     return draw_frame(SCENE, LENS, MOUNT, pose, pan, rng=rng)
 
 
-def expected(prior: PoseEstimate, sigma: float = 1e-4) -> Expectation:
+def expected(prior, sigma=1e-4):
     """What a filter expects that knows the camera to so many metres and radians."""
     known = Calibration.of_mount(MOUNT, dict.fromkeys(NAMES, sigma))
     return Expectation(prior.stamp_ns, prior.pose, prior.covariance, known, sigma)
 
 
-def start_of(rng: np.random.Generator) -> PoseEstimate:
+def start_of(rng):
     return PoseEstimate(0, START + rng.normal(0.0, START_SIGMA), np.diag(START_SIGMA**2))

@@ -4,9 +4,6 @@ Small scenes with known truth: flat boards with continuous textures, met by rays
 Written apart from `landmark_nav.simulation`, so that the one checks the other.
 """
 
-from __future__ import annotations
-
-from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -16,19 +13,10 @@ import numpy as np
 import numpy.typing as npt
 
 from landmark_nav.geometry import se2
-from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.geometry.se2 import rotation_rpy
-from landmark_nav.geometry.walls import Paper, Room, Wall
-from landmark_nav.types import (
-    CameraFrame,
-    Candidate,
-    FloatArray,
-    ImageArray,
-    Landmark,
-    Panorama,
-    Sweep,
-)
+from landmark_nav.geometry.walls import Room
+from landmark_nav.types import CameraFrame, Candidate, FloatArray, Sweep
 
 Color = tuple[float, float, float]
 
@@ -57,7 +45,7 @@ class Board:
     texture: npt.NDArray[np.float32]
 
     @property
-    def right(self) -> FloatArray:
+    def right(self):
         """To the right for someone who looks at it."""
         return np.array([-self.normal[1], self.normal[0], 0.0])
 
@@ -69,9 +57,7 @@ class Scene:
     boards: tuple[Board, ...]
     background: Color = (90.0, 90.0, 90.0)
 
-    def look(
-        self, origin: FloatArray, directions: FloatArray
-    ) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.int16]]:
+    def look(self, origin, directions):
         """BGR of what rays (rows, columns, 3) from an origin meet, and the board's number."""
         nearest = np.full(directions.shape[:2], np.inf)
         number = np.full(directions.shape[:2], -1, np.int16)
@@ -109,9 +95,7 @@ class Scene:
         return seen, number
 
 
-def draw(
-    scene: Scene, origin: FloatArray, rays: FloatArray, rays_of: Callable[[FloatArray], FloatArray]
-) -> npt.NDArray[np.float32]:
+def draw(scene, origin, rays, rays_of):
     """
     BGR (rows, columns, 3) of an image whose pixels look along `rays`.
 
@@ -130,17 +114,13 @@ def draw(
     return image
 
 
-def with_noise(
-    image: FloatArray, rng: np.random.Generator | None, sigma: float = 3.0
-) -> ImageArray:
+def with_noise(image, rng, sigma=3.0):
     """Round to uint8 with noise of `sigma` grey levels; none without `rng`."""
     noise = 0.0 if rng is None else rng.normal(0.0, sigma, image.shape)
     return np.asarray(np.clip(np.rint(image + noise), 0, 255), dtype=np.uint8)
 
 
-def smooth_texture(
-    rng: np.random.Generator, width_m: float, height_m: float, feature_m: float = 0.035
-) -> npt.NDArray[np.float32]:
+def smooth_texture(rng, width_m, height_m, feature_m=0.035):
     """Grey texture of blots of about `feature_m`, smooth enough to be sampled anywhere."""
     texel = feature_m / 4.0
     size = (round(height_m / texel), round(width_m / texel))
@@ -151,31 +131,29 @@ def smooth_texture(
     return cv2.merge([np.clip(128.0 + np.asarray(grey), 5, 250).astype(np.float32)] * 3)
 
 
-def _standard(image: npt.NDArray[np.float64]) -> FloatArray:
+def _standard(image):
     return np.asarray((image - image.mean()) / image.std())
 
 
-def flat_texture(color: Color) -> npt.NDArray[np.float32]:
+def flat_texture(color):
     """Texture of one colour."""
     return np.full((4, 4, 3), color, np.float32)
 
 
-def rectangle_room(
-    width: float = 6.0, depth: float = 5.0, papers: Sequence[Paper] = (), height: float = 2.5
-) -> Room:
+def rectangle_room(width=6.0, depth=5.0, papers=(), height=2.5):
     """Walls s, e, n, w of a room from (0, 0) to (width, depth)."""
     corners = [(0.0, 0.0), (width, 0.0), (width, depth), (0.0, depth)]
     return Room(walls_of(corners, 'senw', height), tuple(papers))
 
 
-def wall_board(wall: Wall, texture: npt.NDArray[np.float32]) -> Board:
+def wall_board(wall, texture):
     """The whole wall as a board."""
     middle = (np.array(wall.start) + np.array(wall.end)) / 2.0
     center = np.array([*middle, wall.height / 2.0])
     return Board(center, wall.normal, wall.length, wall.height, texture)
 
 
-def paper_board(paper: Paper, room: Room) -> Board:
+def paper_board(paper, room):
     """A coloured paper, as flat on its wall as can be distinguished."""
     normal = room.normals[int(room.nearest_wall(np.array(paper.center[:2])))]
     center = np.array(paper.center) + 1e-5 * normal
@@ -183,7 +161,7 @@ def paper_board(paper: Paper, room: Room) -> Board:
     return Board(center, normal, paper.width, paper.height, texture)
 
 
-def textured_room(room: Room, seed: int, feature_m: float = 0.035) -> Scene:
+def textured_room(room, seed, feature_m=0.035):
     """Random texture on every wall, and the papers."""
     rng = np.random.default_rng(seed)
     walls = [
@@ -193,35 +171,24 @@ def textured_room(room: Room, seed: int, feature_m: float = 0.035) -> Scene:
     return Scene((*walls, *(paper_board(paper, room) for paper in room.papers)))
 
 
-def draw_cylinder(
-    scene: Scene, cylinder: Cylinder, center_map: FloatArray, heading_rad: float
-) -> npt.NDArray[np.float32]:
+def draw_cylinder(scene, cylinder, center_map, heading_rad):
     """What a perfect panorama shows, BGR (rows, columns, 3)."""
     center = tuple(float(value) for value in center_map)
     return _seen_around(scene, cylinder, center, float(heading_rad))
 
 
 @lru_cache(maxsize=8)
-def _seen_around(
-    scene: Scene, cylinder: Cylinder, center: tuple[float, ...], heading_rad: float
-) -> npt.NDArray[np.float32]:
+def _seen_around(scene, cylinder, center, heading_rad):
     turn = rotation_rpy((0.0, 0.0, heading_rad))
 
-    def rays_of(pixels: FloatArray) -> FloatArray:
+    def rays_of(pixels):
         return np.asarray(cylinder.rays(pixels) @ turn.T)
 
     grid = np.stack(np.meshgrid(np.arange(cylinder.width), np.arange(cylinder.height)), -1)
     return draw(scene, np.array(center), rays_of(grid), rays_of)
 
 
-def draw_panorama(
-    scene: Scene,
-    center_map: FloatArray,
-    heading_rad: float,
-    *,
-    covariance: FloatArray | None = None,
-    rng: np.random.Generator | None = None,
-) -> Panorama:
+def draw_panorama(scene, center_map, heading_rad, *, covariance=None, rng=None):
     """Panorama with its true pose."""
     cylinder = Cylinder.with_resolution(250.0, -0.4, 0.4)
     image = with_noise(draw_cylinder(scene, cylinder, center_map, heading_rad), rng, 2.0)
@@ -232,17 +199,17 @@ def draw_panorama(
 
 
 def draw_frame(
-    scene: Scene,
-    camera: CameraModel,
-    mount: PanTiltMount,
-    pose_map_base: FloatArray,
-    pan_rad: float = 0.0,
-    tilt_rad: float = 0.0,
+    scene,
+    camera,
+    mount,
+    pose_map_base,
+    pan_rad=0.0,
+    tilt_rad=0.0,
     *,
-    stamp_ns: int = 0,
-    rng: np.random.Generator | None = None,
-    sigma: float = 3.0,
-) -> CameraFrame:
+    stamp_ns=0,
+    rng=None,
+    sigma=3.0,
+):
     """Image of the scene through a lens, with noise if there is `rng`."""
     pose = tuple(float(value) for value in pose_map_base)
     seen = _seen(scene, camera, mount, pose, float(pan_rad), float(tilt_rad))
@@ -251,18 +218,11 @@ def draw_frame(
 
 # Many tests look at one scene from the same few places.
 @lru_cache(maxsize=64)
-def _seen(
-    scene: Scene,
-    camera: CameraModel,
-    mount: PanTiltMount,
-    pose: tuple[float, ...],
-    pan_rad: float,
-    tilt_rad: float,
-) -> npt.NDArray[np.float32]:
+def _seen(scene, camera, mount, pose, pan_rad, tilt_rad):
     """BGR of an image without noise."""
     rotation, center = mount.camera_pose_map(np.array(pose), pan_rad, tilt_rad)
 
-    def rays_of(pixels: FloatArray) -> FloatArray:
+    def rays_of(pixels):
         column, row = np.moveaxis(pixels.astype(np.float32), -1, 0)
         rays = cv2.remap(camera.ray_grid, column, row, cv2.INTER_LINEAR)
         return _turned(rays, rotation)
@@ -270,19 +230,11 @@ def _seen(
     return draw(scene, center, _turned(camera.ray_grid, rotation), rays_of)
 
 
-def _turned(rays: npt.NDArray[np.float32], rotation: FloatArray) -> FloatArray:
+def _turned(rays, rotation):
     return np.concatenate([rays, np.ones_like(rays[..., :1])], -1).astype(np.float64) @ rotation.T
 
 
-def draw_sweep(
-    scene: Scene,
-    camera: CameraModel,
-    mount: PanTiltMount,
-    pose_map_base: FloatArray,
-    pans_rad: FloatArray,
-    *,
-    rng: np.random.Generator | None = None,
-) -> Sweep:
+def draw_sweep(scene, camera, mount, pose_map_base, pans_rad, *, rng=None):
     """Frames at pans (n,), a tenth of a second apart."""
     frames = tuple(
         draw_frame(
@@ -294,17 +246,8 @@ def draw_sweep(
 
 
 def true_landmark(
-    scene: Scene,
-    number: int,
-    board: Board,
-    across_m: float,
-    up_m: float,
-    viewpoint: FloatArray,
-    *,
-    size_m: float = 0.32,
-    texel_m: float = 0.008,
-    sigma_m: float = 0.002,
-) -> Landmark:
+    scene, number, board, across_m, up_m, viewpoint, *, size_m=0.32, texel_m=0.008, sigma_m=0.002
+):
     """
     Landmark cut out of a board, `across_m` and `up_m` from its centre, as if perfectly learned.
 
@@ -325,7 +268,7 @@ def true_landmark(
     )  # fmt: skip
 
 
-def candidate_at(panorama: Panorama, point: FloatArray, size: int = 32) -> Candidate:
+def candidate_at(panorama, point, size=32):
     """Candidate at the pixel nearest to where a panorama shows a point."""
     turned = (point - panorama.center_map)[:2] @ se2.rotation(panorama.heading_rad)
     column, row = panorama.cylinder.project([*turned, point[2] - panorama.center_map[2]])
@@ -335,7 +278,7 @@ def candidate_at(panorama: Panorama, point: FloatArray, size: int = 32) -> Candi
 __all__ = ['turn_sweep']
 
 
-def texture(directions: FloatArray) -> FloatArray:
+def texture(directions):
     """Grey of directions (..., 3): a smooth pattern that differs everywhere."""
     rng = np.random.default_rng(5)
     waves = rng.normal(size=(60, 3))
@@ -345,9 +288,7 @@ def texture(directions: FloatArray) -> FloatArray:
     return np.asarray(128.0 + 14.0 * values)
 
 
-def turn_sweep(
-    camera: CameraModel, mount: PanTiltMount, pans: FloatArray, tilt_rad=0.0, roll_rad=0.0
-) -> Sweep:
+def turn_sweep(camera, mount, pans, tilt_rad=0.0, roll_rad=0.0):
     """Frames as they look at true angles."""
     u, v = np.meshgrid(np.arange(camera.width), np.arange(camera.height))
     rays = camera.unproject(np.stack([u, v], -1))

@@ -1,7 +1,5 @@
 """Landmarks and panoramas are adjusted together, and err as their covariances say."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from builders import nees
@@ -30,11 +28,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.learning.adjustment.problem import (
-    AdjustmentConfig,
-    CALIBRATED,
-    Problem,
-)
+from landmark_nav.learning.adjustment.problem import AdjustmentConfig, CALIBRATED, Problem
 from landmark_nav.learning.adjustment.solution import adjust
 from landmark_nav.learning.least_squares import (
     checked_covariance,
@@ -271,7 +265,6 @@ def test_noise_is_estimated_from_the_room(azimuth, tangent, relief):
 
 
 MORE = np.array([[3.0, 1.2, 1.1, 0.3], [1.2, 3.9, 1.1, 1.0]])
-
 
 WITHOUT_WALLS = AdjustmentConfig(
     relief_sigma_m=1.0, camera_weight=1e9, place_weight=1e9, room_weight=1e9

@@ -13,7 +13,7 @@ from bag_writers import (
     write_sweep,
 )
 import cv2
-from drive_faults import write_bag
+from drive_faults import recorded, write_bag
 import numpy as np
 import pytest
 
@@ -172,11 +172,6 @@ def test_a_folder_of_images_is_a_sweep(tmp_path, comma):
     (tmp_path / 'frames.csv').write_text('file,pan\n1.png,0')
     with pytest.raises(LandmarkNavError, match='lacks pan_rad, focal_px, width, height'):
         read_sweep_folder(tmp_path)
-
-
-def recorded(path):
-    """Topics, messages and log times of a bag, to be written again."""
-    return [(entry.topic, entry.message, entry.stamp_ns) for entry in Bag(path).messages()]
 
 
 def frames_of(path, warn=print):

@@ -1,15 +1,10 @@
 """Bags are read in each file format, and damage is reported."""
 
-from __future__ import annotations
-
-from collections.abc import Callable, Iterable
 import gc
 from itertools import groupby
 import os
-from pathlib import Path
 import shutil
 import sqlite3
-from typing import Any
 
 from bag_writers import FACTORY, foreign_bag, MOUNT, odometry, SECOND, START, write_drive
 import lz4.frame
@@ -20,24 +15,18 @@ import pytest
 from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import get_typestore, Stores
-from rosbags.typesys.store import Typestore
 import yaml
 import zstandard
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.messages import decode
 from landmark_nav.messages.factory import default_typestore
-from landmark_nav.storage.bags import Bag, BagMessage, BagWriter, container, sensor_events
+from landmark_nav.storage.bags import Bag, BagWriter, container, sensor_events
 
 ROS1, ROS2 = get_typestore(Stores.ROS1_NOETIC), default_typestore()
 
 
-def _copied(
-    source: Path,
-    writer: Writer | Ros1Writer,
-    store: Typestore,
-    data_of: Callable[[BagMessage], bytes | memoryview] = lambda entry: entry.data,
-) -> None:
+def _copied(source, writer, store, data_of=lambda entry: entry.data):
     """Write all messages of a bag by another writer."""
     connections = {}
     with writer:
@@ -49,12 +38,7 @@ def _copied(
             writer.write(connections[entry.topic], entry.stamp_ns, data_of(entry))
 
 
-def rosbag2_bag(
-    source: Path,
-    path: Path,
-    mode: CompressionMode | None = None,
-    storage: StoragePlugin = StoragePlugin.SQLITE3,
-) -> Path:
+def rosbag2_bag(source, path, mode=None, storage=StoragePlugin.SQLITE3):
     """rosbag2, perhaps compressed by rosbag2 itself."""
     writer = Writer(path, version=9, storage_plugin=storage)
     if mode is not None:
@@ -63,7 +47,7 @@ def rosbag2_bag(
     return path
 
 
-def ros1_bag(source: Path, path: Path, compression: Ros1Writer.CompressionFormat | None) -> Path:
+def ros1_bag(source, path, compression):
     """A ROS 1 bag."""
     writer = Ros1Writer(path)
     if compression is not None:
@@ -73,14 +57,14 @@ def ros1_bag(source: Path, path: Path, compression: Ros1Writer.CompressionFormat
 
 
 def mcap_file(
-    source: Path,
-    path: Path,
-    order: Callable[[list[BagMessage]], Iterable[BagMessage]] = lambda entries: entries,
+    source,
+    path,
+    order=lambda entries: entries,
     *,
-    indexed: bool = True,
-    chunk_size: int = 20_000,
-    compression: CompressionType = CompressionType.ZSTD,
-) -> Path:
+    indexed=True,
+    chunk_size=20_000,
+    compression=CompressionType.ZSTD,
+):
     """MCAP with messages in any order, with or without an index."""
     with path.open('wb') as stream:
         summary = ('use_statistics', 'repeat_channels', 'repeat_schemas', 'use_summary_offsets')
@@ -101,11 +85,11 @@ def mcap_file(
     return path
 
 
-def split_bag(source: Path, path: Path, parts: int = 3) -> Path:
+def split_bag(source, path, parts=3):
     """rosbag2 in several files."""
     path.mkdir()
 
-    def part(k: int) -> Callable[[list[BagMessage]], list[BagMessage]]:
+    def part(k):
         return lambda entries: entries[k * len(entries) // parts : (k + 1) * len(entries) // parts]
 
     files = [mcap_file(source, path / f'split_{k}.mcap', part(k)) for k in range(parts)]
@@ -116,20 +100,20 @@ def split_bag(source: Path, path: Path, parts: int = 3) -> Path:
     return path
 
 
-def write_metadata(path: Path, **information: Any) -> None:
+def write_metadata(path, **information):
     """`metadata.yaml` of a folder of MCAP files."""
     document = {'rosbag2_bagfile_information': {'storage_identifier': 'mcap', **information}}
     (path / 'metadata.yaml').write_text(yaml.safe_dump(document))
 
 
-def packed_file(source: Path, path: Path) -> Path:
+def packed_file(source, path):
     """A file compressed as a whole, by zstd or lz4 as its name says."""
     pack = lz4.frame.compress if path.suffix == '.lz4' else zstandard.ZstdCompressor().compress
     path.write_bytes(pack(source.read_bytes()))
     return path
 
 
-def without_definitions(path: Path) -> Path:
+def without_definitions(path):
     """Take the definitions out of a .db3, as distributions before Iron left them out."""
     (file,) = path.glob('*.db3')
     base = sqlite3.connect(file)
@@ -140,7 +124,7 @@ def without_definitions(path: Path) -> Path:
     return path
 
 
-def compression_mode(source: Path, path: Path, mode: str) -> Path:
+def compression_mode(source, path, mode):
     """The same bag, whose metadata name a mode of compression; its first bytes count."""
     shutil.copytree(source, path)
     text = (path / 'metadata.yaml').read_text()

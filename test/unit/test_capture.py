@@ -1,7 +1,5 @@
 """A sweep is taken of a camera that overshoots and fails, within its limits, and continued."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, replace
 from typing import Any
 

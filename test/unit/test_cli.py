@@ -12,6 +12,8 @@ from landmark_nav.cli.drive import Keys
 from landmark_nav.cli.main import COMMANDS, main
 from landmark_nav.errors import LandmarkNavError
 
+LEARN = ['learn', 'bag', '--robot', 'x', '--out', 'z']
+NO_TOPICS = ('odom', 'odom=', 'wheels=/odom', '=/odom')
 EVALUATE = ['evaluate', 'b', '--map', 'm', '--robot', 'r']
 
 
@@ -109,6 +111,10 @@ def test_a_reader_that_leaves_is_no_error():
         (['panorama', 'b', '--out', 'p.png', '--sweep', '0'], 'argument --sweep'),
         (['figures', '--out', 'f', '--bag', 'b'], '--bag needs'),
         (['figures', '--out', 'f', '--seed', '-1'], '--seed'),
+        (['simulate', '--out', 'o', '--seed', '-3'], '--seed'),
+        (['simulate', '--out', 'o', '--exchange', '20'], '--exchange'),
+        (['simulate', '--out', 'o', '--camera-rate', '7'], 'no whole part of 20: take'),
+        *(([*LEARN, '--topic', topic], 'is not NAME=TOPIC') for topic in NO_TOPICS),
         ([*EVALUATE, '--start', 'nan', '1.0', '0.0'], 'argument --start: '),
         ([*EVALUATE, '--start', '1.0', '1e200', '0.0'], 'argument --start: '),
         ([*EVALUATE, '--start', '1.0', '1.0', 'here'], 'argument --start: '),

@@ -1,7 +1,5 @@
 """One file of parameters, for nodes and commands, with bounds."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

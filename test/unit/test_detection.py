@@ -1,7 +1,5 @@
 """Landmarks in images: bearings, refusals, and rows that tell wrong heights from tilts."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from east_wall import (

@@ -1,8 +1,6 @@
 """Faults on a real robot: the localizer reports them, survives, and recovers."""
 
-from __future__ import annotations
-
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 import copy
 from dataclasses import dataclass, replace
 from typing import Any
@@ -10,16 +8,7 @@ from typing import Any
 from builders import nees, pose_error
 import numpy as np
 import pytest
-from rendered_drives import (
-    camera_image,
-    drive,
-    FRAME_NS,
-    MAP,
-    MOUNT,
-    START,
-    START_SIGMA,
-    Step,
-)
+from rendered_drives import camera_image, drive, FRAME_NS, MAP, MOUNT, START, START_SIGMA, Step
 
 from landmark_nav.calibration import Calibration, UNITS
 from landmark_nav.evaluation.replay import replay as replay_events
@@ -29,13 +18,7 @@ from landmark_nav.localization import observer
 from landmark_nav.localization.joint_delay import JointDelay
 from landmark_nav.localization.localizer import LocalizationConfig, LocalizationUpdate, Localizer
 from landmark_nav.localization.relocalization.search import localize_within_prior
-from landmark_nav.types import (
-    CameraFrame,
-    FloatArray,
-    OdometrySample,
-    PoseEstimate,
-    Refusal,
-)
+from landmark_nav.types import CameraFrame, FloatArray, OdometrySample, PoseEstimate, Refusal
 
 SECONDS = 12.0
 FAULT_S = 3.2
@@ -46,7 +29,7 @@ KNOWN = Calibration.of_mount(
 )
 
 
-def pan_rad(seconds: float) -> float:
+def pan_rad(seconds):
     """Look about."""
     return float(1.8 * np.sin(0.6 * seconds))
 
@@ -56,7 +39,7 @@ Change = Callable[[Step, CameraFrame | None], Sensed]
 
 
 @pytest.fixture(scope='module')
-def sensed() -> list[Sensed]:
+def sensed():
     """A drive: truth and odometry, every eighth time an image."""
     rng = np.random.default_rng(5)
     found: list[Sensed] = []
@@ -80,7 +63,7 @@ class Moment:
     refused: int
 
     @property
-    def nees(self) -> float:
+    def nees(self):
         """Of x, y and heading."""
         return float(nees(self.error, self.update.fused.covariance))
 
@@ -97,16 +80,14 @@ def begun(sensed):
     return begin(sensed)
 
 
-def run(sensed: list[Sensed], change: Change, begun: Any = None, **given: Any) -> list[Moment]:
+def run(sensed, change, begun=None, **given):
     """Drive with what `change` makes of each moment after the fault; odometry may be None."""
     localizer, before = copy.deepcopy(begun) if begun else begin(sensed, **given)
     after = sensed[round(20 * FAULT_S) :]
     return [*before, *_moments(localizer, after, change, before[-1].refused)]
 
 
-def _moments(
-    localizer: Localizer, sensed: list[Sensed], change: Change, refused: int
-) -> Iterator[Moment]:
+def _moments(localizer, sensed, change, refused):
     for step, frame in (change(*each) for each in sensed):
         if step.odometry is not None:
             refused += localizer.add_odometry(step.odometry) is not None
@@ -118,12 +99,12 @@ def _moments(
         yield Moment(step.stamp_ns * 1e-9 - FAULT_S, update.status, error, update, refused)
 
 
-def untouched(step: Step, frame: CameraFrame | None) -> Sensed:
+def untouched(step, frame):
     """No fault."""
     return step, frame
 
 
-def check_consistent(moments: list[Moment]) -> None:
+def check_consistent(moments):
     """No undetected failure: three numbers whose errors are Gaussian reach 40 once in 10^8."""
     for moment in moments:
         assert moment.status != 'OK' or moment.after_s < 2.0 or moment.nees < 40.0

@@ -1,7 +1,6 @@
 """Figures: maps, panoramas and runs, and those of the paper from recorded data."""
 
-from __future__ import annotations
-
+from functools import partial
 from pathlib import Path
 
 from builders import bare_landmark, detections_of, panorama_of
@@ -11,25 +10,28 @@ import pytest
 from scenes import rectangle_room
 
 from landmark_nav.cli.main import main
-from landmark_nav.evaluation.figures import (
-    draw_errors,
-    draw_trajectory,
-)
+from landmark_nav.evaluation.figures import draw_errors, draw_trajectory
 from landmark_nav.evaluation.figures.stereo_figure import ray_sigma_m
 from landmark_nav.evaluation.metrics import PoseTrack
 from landmark_nav.evaluation.replay import Replay
 from landmark_nav.evaluation.run_report import run_errors
 from landmark_nav.geometry.cylinder import Cylinder
+from landmark_nav.learning.attention.maps import AttentionConfig
 from landmark_nav.localization.localizer import LocalizationUpdate
 from landmark_nav.localization.observer import Observation
 from landmark_nav.storage.maps import write_map
-from landmark_nav.types import (
-    LandmarkMap,
-    PoseEstimate,
-    Refusal,
-)
+from landmark_nav.types import LandmarkMap, PoseEstimate, Refusal
 
 WALLS = rectangle_room(5.0, 4.0, ()).walls
+
+
+@pytest.fixture(autouse=True)
+def coarse(monkeypatch):
+    """Figures of few pixels, with few candidates."""
+    monkeypatch.setattr('landmark_nav.evaluation.figures.style.DPI', 60)
+    few = partial(AttentionConfig, candidates=40)
+    monkeypatch.setattr('landmark_nav.cli.figures.AttentionConfig', few)
+
 
 # How the figures draw landmarks, as OpenCV reads it back.
 LANDMARK_BGR = (0x73, 0x9E, 0x00)

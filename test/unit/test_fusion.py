@@ -1,11 +1,9 @@
 """Fusion of odometry, images and global poses in the order in which a node receives them."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 from builders import pose_error
-from drawn_drives import IMAGE_EVERY, MOUNT, NS, PERIOD_S, simulated
+from drawn_drives import IMAGE_EVERY, MOUNT, NS, PERIOD_S, sensed, simulated
 import numpy as np
 import pytest
 from wire import FACTORY, over_the_wire
@@ -13,10 +11,8 @@ from wire import FACTORY, over_the_wire
 from landmark_nav.calibration import Calibration, DEFAULT_SIGMAS, LENS, NAMES
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import PanTrack
-from landmark_nav.geometry.se2 import compose
 from landmark_nav.localization.estimator.integrity import Status
 from landmark_nav.localization.fusion import Fusion
-from landmark_nav.localization.odometry.noise import Motion
 from landmark_nav.localization.triplet.look_around import is_known
 from landmark_nav.messages import decode, encode
 from landmark_nav.types import (
@@ -31,21 +27,14 @@ from landmark_nav.types import (
 INTRINSICS = np.array([1.1, 1.1, 0.5, 0.5, 0.0])
 
 
-def arriving(drive, shift_ns=0):
+def arriving(drive):
     """A drive as messages bring it: odometry, and what was found in images."""
-    pose, stamp = np.zeros(3), shift_ns
-    yield OdometrySample(stamp, pose)
-    for event in drive.events:
-        if isinstance(event, Motion):
-            stamp += round(event.seconds * NS)
-            pose = compose(pose, event.increment)
-            forward, _, turn = (event.increment / event.seconds).tolist()
-            yield OdometrySample(stamp, pose, forward, turn)
-        else:
-            yield seen(event, stamp)
+    for what in sensed(drive):
+        yield what if isinstance(what, OdometrySample) else seen(what)
 
 
-def seen(image, stamp_ns):
+def seen(image):
+    stamp_ns = image.stamp_ns
     pan, right = image.pan_rad[0] if len(image) else 0.0, image.points[:, 0]
     found = Detections(
         stamp_ns, image.columns.astype(np.int64), MOUNT.azimuth_base_rad(pan) - np.arctan(right),
@@ -87,7 +76,7 @@ def test_messages_lose_nothing():
             found = decode.detections(over_the_wire(encode.detections(FACTORY, what[0])))
             what = found, what[1]
         take(reported, what)
-    assert reported.estimate().pose == pytest.approx(direct.estimate().pose, abs=1e-12)  # type: ignore[union-attr]
+    assert reported.estimate().pose == pytest.approx(direct.estimate().pose, abs=1e-12)
     assert np.abs(error(direct, drive)[:2]).max() < 0.02
     stamp = round(6.0 * NS)
     expected, sample = direct.expectation(stamp), OdometrySample(stamp, np.zeros(3), 0.3, -0.2)
@@ -302,7 +291,7 @@ def test_the_same_map_again_changes_nothing():
         take(same, what)
         if not k % 20:
             same.change_map(replace(drive.landmark_map))
-    assert same.estimate().covariance == pytest.approx(fusion.estimate().covariance)  # type: ignore[union-attr]
+    assert same.estimate().covariance == pytest.approx(fusion.estimate().covariance)
 
 
 def test_a_place_found_in_a_pan_motion_has_an_uncertain_heading():

@@ -1,7 +1,5 @@
 """Angles, planar poses, cylinder, walls, cameras and their mount."""
 
-from __future__ import annotations
-
 from typing import Any
 
 from builders import pose_error, walls_of
@@ -105,9 +103,7 @@ def test_bearings_are_those_at_which_points_were_put(pose, angles, away):
 
 CYLINDER = Cylinder(width=3600, height=350, fy=573.0, cx=1799.5, cy=170.0)
 
-
 COLUMNS = st.floats(-0.5, 3599.499)
-
 
 ROWS = st.floats(-0.5, 349.5)
 
@@ -137,9 +133,7 @@ def test_a_cylinder_too_large_to_hold_is_refused(px_per_rad):
 # An L: 6 x 4 m without its upper right 3 x 2 m.
 CORNERS = [(0.0, 0.0), (6.0, 0.0), (6.0, 2.0), (3.0, 2.0), (3.0, 4.0), (0.0, 4.0)]
 
-
 ROOM = Room(walls_of(CORNERS))
-
 
 INSIDE = st.tuples(st.floats(0.01, 2.99), st.floats(0.01, 3.99)) | st.tuples(
     st.floats(0.01, 5.99), st.floats(0.01, 1.99)

@@ -1,7 +1,5 @@
 """Launch files, which run here with recorders in the place of ROS' launch."""
 
-from __future__ import annotations
-
 from collections.abc import Iterable, Mapping
 import dataclasses
 from dataclasses import dataclass, field
@@ -60,7 +58,7 @@ def recorders(monkeypatch):
         monkeypatch.setitem(sys.modules, name, Recorder(name))
     packages = ModuleType('ament_index_python.packages')
     # Launch files find each other below it, by their names alone here.
-    packages.get_package_share_directory = lambda name: f'/share/{name}'  # type: ignore[attr-defined]
+    packages.get_package_share_directory = lambda name: f'/share/{name}'
     monkeypatch.setitem(sys.modules, 'ament_index_python', Recorder('ament_index_python'))
     monkeypatch.setitem(sys.modules, packages.__name__, packages)
 

@@ -1,7 +1,5 @@
 """Layouts of RViz, Foxglove and PlotJuggler, and what markers show in them."""
 
-from __future__ import annotations
-
 import json
 from pathlib import Path
 from typing import Any
@@ -22,6 +20,7 @@ from landmark_nav.messages.factory import default_typestore, rosbag_factory
 from landmark_nav.storage.bags.definitions import TOPIC_TYPES
 from landmark_nav.types import LandmarkMap, PoseEstimate, Triplet
 
+STORE = default_typestore()
 CONFIG = Path(__file__).resolve().parents[2] / 'config'
 TYPES = {**TOPIC_TYPES, '/diagnostics': 'diagnostic_msgs/msg/DiagnosticArray'}
 # What a display of RViz or a panel of Foxglove shows.
@@ -84,7 +83,7 @@ def known(topic):
 def is_number(type_name, fields):
     """Whether the fields lead to a number in a message."""
     for number, field in enumerate(fields):
-        description: Any = dict(default_typestore().fielddefs[type_name][1])[field]
+        description: Any = dict(STORE.fielddefs[type_name][1])[field]
         kind, content = description
         if kind == Nodetype.BASE:
             return number == len(fields) - 1 and content[0] != 'string'

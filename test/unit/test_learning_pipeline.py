@@ -57,7 +57,6 @@ def scene_of(room):
 
 SCENE = scene_of(ROOM)
 
-
 SIGMA = np.diag([0.01, 0.01, 0.004]) ** 2
 
 

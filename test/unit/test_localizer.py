@@ -1,10 +1,8 @@
-from __future__ import annotations
-
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import combinations
-from pathlib import Path
 
 from builders import detections_of, pose_error
+import cv2
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
@@ -19,73 +17,43 @@ from landmark_nav.geometry.se2 import compose
 from landmark_nav.localization.debug_image import draw_observation
 from landmark_nav.localization.detection.expectation import Expectation
 from landmark_nav.localization.expected_poses import ExpectedPoses, SpreadCorrection
-from landmark_nav.localization.localizer import LocalizationConfig, LocalizationUpdate, Localizer
+from landmark_nav.localization.localizer import LocalizationConfig, Localizer
 from landmark_nav.localization.observer import most_informative, Observation
 from landmark_nav.localization.triangulation.model import bearing_gradients
 from landmark_nav.localization.triplet.planning_scene import CameraState
 from landmark_nav.localization.triplet.selection import ActiveCamera
 from landmark_nav.localization.triplet.visibility import TripletConfig
-from landmark_nav.messages import decode
-from landmark_nav.storage.bags import Bag
-from landmark_nav.types import (
-    FloatArray,
-    LandmarkMap,
-    OdometrySample,
-    PoseEstimate,
-    Refusal,
-)
+from landmark_nav.types import LandmarkMap, OdometrySample, PoseEstimate, Refusal
 
 EXACT = Calibration.exact(MOUNT)
 
 
-@dataclass(frozen=True, eq=False)
-class Run:
-    """What a drive gave: updates, errors of fused poses (n, 3), their NEES (n,)."""
-
-    updates: list[LocalizationUpdate]
-    errors: FloatArray
-    nees: FloatArray
-    fixes: list[tuple[PoseEstimate, FloatArray]]
-
-
-def localize(seed=1, seconds=9.0, config=None):
-    """Drive with the camera turned to the triplet that is best after each image."""
-    rng = np.random.default_rng(seed)
-    localizer = Localizer(MAP, EXACT, config or LocalizationConfig())
+@pytest.fixture(scope='module')
+def fixes():
+    """Fixes and truth of a drive with the camera on the best triplet after each image."""
+    rng = np.random.default_rng(1)
+    localizer = Localizer(MAP, EXACT, LocalizationConfig())
     camera = ActiveCamera(MAP, MOUNT, TripletConfig())
     localizer.initialize(start_of(rng))
-    updates, errors, nees, fixes, pan = [], [], [], [], 0.0
-    for step in drive(rng, seconds):
+    found, pan = [], 0.0
+    for step in drive(rng, 9.0):
         assert localizer.add_odometry(step.odometry) is None
         if step.stamp_ns % FRAME_NS:
             continue
         frame = replace(camera_image(step.pose, pan, rng), stamp_ns=step.stamp_ns)
         update = localizer.add_frame(frame)
-        error = pose_error(update.fused, step.pose)
-        updates.append(update)
-        errors.append(error)
-        nees.append(error @ np.linalg.solve(update.fused.covariance, error))
         if isinstance(update.observation.fix, PoseEstimate):
-            fixes.append((update.observation.fix, step.pose))
-        chosen = camera.choose(update.fused, LENS, CameraState(pan)).chosen
-        pan = chosen.pan_rad
-    return Run(updates, np.array(errors), np.array(nees), fixes)
+            found.append((update.observation.fix, step.pose))
+        pan = camera.choose(update.fused, LENS, CameraState(pan)).chosen.pan_rad
+    return found
 
 
-@pytest.fixture(scope='module')
-def run():
-    return localize()
-
-
-def test_fixes_err_as_their_covariances_say(run):
-    assert len(run.fixes) > 10
-    errors = np.array([pose_error(fix, pose) for fix, pose in run.fixes])
-    sigma = np.array([np.sqrt(np.diag(fix.covariance)) for fix, _ in run.fixes])
+def test_fixes_err_as_their_covariances_say(fixes):
+    assert len(fixes) > 10
+    errors = np.array([pose_error(fix, pose) for fix, pose in fixes])
+    sigma = np.array([np.sqrt(np.diag(fix.covariance)) for fix, _ in fixes])
     assert np.abs(errors / sigma).max() < 4.5
     assert np.mean((errors / sigma) ** 2) < 2.5
-
-
-DRIVE = Path(__file__).resolve().parents[2] / 'bags' / 'drive'
 
 
 def expected(u, v):
@@ -104,29 +72,13 @@ def observation(found, refused):
     return Observation(detections, reasons, lambda: Refusal('too few'), expected=places)
 
 
-@pytest.fixture(scope='module')
-def frame():
-    """A real one, grey."""
-    bag = Bag(DRIVE)
-    topic = bag.find('camera/image_raw/compressed')
-    info_topic = bag.find('camera/camera_info')
-    assert topic
-    assert info_topic
-    info = decode.camera_info(next(iter(bag.messages([info_topic]))).message)
-    image, _ = decode.camera_image(next(iter(bag.messages([topic]))).message, info, grey=True)
-    return image
-
-
-def colored(drawn):
-    """Pixels that are not grey."""
-    return np.ptp(drawn.astype(int), axis=2) > 40
-
-
-def test_what_is_drawn_lies_where_it_was_searched(frame):
+def test_what_is_drawn_lies_where_it_was_searched():
+    frame = cv2.resize(np.random.default_rng(0).integers(0, 256, (32, 32), np.uint8), (512, 512))
     seen = observation({4: (3.0, -2.0), 7: (0.0, 0.0)}, {9: 'low correlation'})
     drawn = draw_observation(frame, seen, [7])
     scale = drawn.shape[1] // frame.shape[1]
-    rows, columns = np.nonzero(colored(drawn)[20:])
+    # All that is not grey.
+    rows, columns = np.nonzero((np.ptp(drawn.astype(int), axis=2) > 40)[20:])
     # Within the windows, and the words above and below.
     assert columns.min() >= scale * (45 - 12) - 1
     assert rows.min() + 20 >= scale * (110 - 8) - 20

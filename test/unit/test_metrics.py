@@ -1,7 +1,5 @@
-from __future__ import annotations
-
 from builders import bare_landmark, nees, panorama_of, pose_error
-from drawn_drives import driven, MOUNT, NS, simulated
+from drawn_drives import driven, MOUNT, NS, sensed, simulated
 from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
@@ -22,7 +20,6 @@ from landmark_nav.evaluation.metrics import (
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.cylinder import Cylinder
-from landmark_nav.geometry.se2 import compose
 from landmark_nav.learning.pipeline import LearningResult
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.localization.estimator.config import EstimatorConfig
@@ -203,16 +200,9 @@ def test_bound_knows_what_landmarks_share_and_is_unknown_without_truth():
 def line(drive, lost_at=-1):
     """Errors (n, 3) of the smoothed poses, and their squares (n,) over the covariance."""
     odometry = OdometryNoiseConfig()
-    track, stamp, pose = OdometryTrack(odometry), 0, np.zeros(3)
-    track.add(OdometrySample(0, pose))
-    images: list[ImagePoints] = []
-    for event in drive.events:
-        if isinstance(event, Motion):
-            stamp += round(event.seconds * NS)
-            pose = compose(pose, event.increment)
-            track.add(OdometrySample(stamp, pose))
-        else:
-            images.append(event)
+    track, images = OdometryTrack(odometry), []
+    for what in sensed(drive):
+        (track.add if isinstance(what, OdometrySample) else images.append)(what)
     joint = JointFilter(drive.landmark_map, drive.prior, drive.start, odometry=odometry)
     smoothed = smoothed_poses(joint, track, images, np.arange(len(images)) == lost_at)
     off = pose_error(np.array([each.pose for each in smoothed]), drive.poses)

@@ -1,7 +1,5 @@
 """setup.py, package.xml and the installed prefix agree; links of the documents are alive."""
 
-from __future__ import annotations
-
 import ast
 import os
 from pathlib import Path
@@ -50,8 +48,8 @@ def setup_arguments():
     """What setup.py hands to setuptools."""
     given: dict[str, Any] = {}
     setuptools = types.ModuleType('setuptools')
-    setuptools.setup = given.update  # type: ignore[attr-defined]
-    setuptools.find_packages = lambda **_: []  # type: ignore[attr-defined]
+    setuptools.setup = given.update
+    setuptools.find_packages = lambda **_: []
     before = Path.cwd()
     with pytest.MonkeyPatch.context() as patch:
         patch.setitem(sys.modules, 'setuptools', setuptools)

@@ -22,18 +22,9 @@ from landmark_nav.learning.reference_area.common_errors import (
     pose_errors,
 )
 from landmark_nav.learning.stereo.wall_patch import PatchMeasurement
-from landmark_nav.planning.planner import (
-    exchange,
-    forecast,
-    plan_positions,
-)
+from landmark_nav.planning.planner import exchange, forecast, plan_positions
 from landmark_nav.planning.prediction import landmark_errors
-from landmark_nav.planning.views import (
-    ahead_rad,
-    free_floor,
-    is_free,
-    PlanConfig,
-)
+from landmark_nav.planning.views import ahead_rad, free_floor, is_free, PlanConfig
 
 MOUNT = PanTiltMount((0.08, 0.0, 1.1))
 # Coarser than by default: quicker.
@@ -44,7 +35,6 @@ PAPERS = tuple(
 )
 ROOM = rectangle_room(5.0, 4.0, PAPERS)
 L_SHAPED = Room(walls_of([(0, 0), (6, 0), (6, 2), (3, 2), (3, 5), (0, 5)]), PAPERS)
-
 
 HIGH = tuple(replace(paper, center=(*paper.center[:2], 3.3)) for paper in PAPERS)
 

@@ -1,7 +1,5 @@
 """Threads, signals and processes end as they should."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 import shutil

@@ -1,11 +1,8 @@
 """Poses of sweeps by papers in any light, or a refusal with its reason; the fault is named."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from functools import lru_cache
 import re
-from typing import Any
 
 from builders import nees, pose_error
 import cv2
@@ -17,15 +14,15 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.geometry.walls import Paper, Room
+from landmark_nav.geometry.walls import Paper
 from landmark_nav.learning.panorama.synthesis import synthesize_cylinder
 from landmark_nav.learning.reference_area.edges import PaperOutlines
 from landmark_nav.learning.reference_area.faults import paper_faults, PaperRecord, PaperView
-from landmark_nav.learning.reference_area.location import PaperSearch, SweepPlace
+from landmark_nav.learning.reference_area.location import PaperSearch
 from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
 from landmark_nav.learning.sweep_pipeline import why_seen_otherwise
 from landmark_nav.simulation.setup_documents import moved_paper
-from landmark_nav.types import FloatArray, Sweep
+from landmark_nav.types import Sweep
 
 MOUNT = PanTiltMount(axis_xyz=(0.12, 0.01, 1.1))
 CAMERA = CameraModel(420, 240, 380.0, 380.0, 209.0, 120.5, distortion=(-0.15, 0.04))
@@ -46,7 +43,7 @@ CORNER = (
 
 
 @lru_cache(maxsize=8)
-def scene_of(room: Room, papers: tuple[Paper, ...] | None = None) -> Scene:
+def scene_of(room, papers=None):
     walls = [
         wall_board(wall, flat_texture((g, g, g)))
         for wall, g in zip(room.walls, (170.0, 150.0, 160.0, 140.0), strict=True)
@@ -56,16 +53,16 @@ def scene_of(room: Room, papers: tuple[Paper, ...] | None = None) -> Scene:
 
 
 def sweep_at(
-    scene: Scene,
-    pose: FloatArray,
-    rng: np.random.Generator | None = None,
+    scene,
+    pose,
+    rng=None,
     *,
-    mount: PanTiltMount = MOUNT,
-    rise_m: float = 0.0,
-    tilt_rad: float = 0.0,
-    towards: tuple[Paper, ...] = EAST,
-    pan_sigma_rad: float = 0.0,
-) -> Sweep:
+    mount=MOUNT,
+    rise_m=0.0,
+    tilt_rad=0.0,
+    towards=EAST,
+    pan_sigma_rad=0.0,
+):
     """Frames that look towards some papers, as JPEG with halved colours."""
     axis = mount.axis_pose_map(pose)
     azimuth = se2.bearings(axis, np.array([p.center[:2] for p in towards]))
@@ -86,26 +83,24 @@ def sweep_at(
     return Sweep(0, tuple(frames))
 
 
-def locate(
-    sweep: Sweep, room: Room, mount: PanTiltMount = MOUNT, config: ReferenceAreaConfig = CONFIG
-) -> SweepPlace:
+def locate(sweep, room, mount=MOUNT, config=CONFIG):
     view = synthesize_cylinder(sweep, mount)
     return PaperSearch(sweep, view, room, mount, config).located()
 
 
-def deviations(place: SweepPlace, pose: FloatArray) -> FloatArray:
+def deviations(place, pose):
     """Errors of x, y, heading in their own standard deviations, absolute."""
     return np.abs(pose_error(place.pose_map_base, pose)) / np.sqrt(
         np.diag(place.covariance)[[0, 1, 3]]
     )
 
 
-def check_place(place: SweepPlace, pose: FloatArray, within_m: float, sigmas: float) -> None:
+def check_place(place, pose, within_m, sigmas):
     assert np.hypot(*pose_error(place.pose_map_base, pose)[:2]) < within_m
     assert deviations(place, pose).max() < sigmas
 
 
-def as_jpeg(image: Any, quality: int) -> Any:
+def as_jpeg(image, quality):
     jpeg = cv2.imencode('.jpg', image, [cv2.IMWRITE_JPEG_QUALITY, quality])[1]
     return cv2.imdecode(jpeg, cv2.IMREAD_COLOR)
 
@@ -301,7 +296,6 @@ ROOM = rectangle_room(papers=EAST)
 # Along the east wall, as seen from inside, left is +y.
 LEFT = np.array([0.0, 1.0, 0.0])
 SIGMA_RAD = 5e-4
-
 
 NONE = PaperOutlines(np.zeros((0, 4)), np.zeros(0), np.zeros((0, 4)), np.zeros((0, 4)))
 

@@ -1,8 +1,5 @@
 """Global localization: found, refused, or not unique."""
 
-from __future__ import annotations
-
-from collections.abc import Sequence
 from dataclasses import replace
 
 from builders import nees, pose_error
@@ -14,19 +11,10 @@ from landmark_nav.calibration import Calibration
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.localization.localizer import LocalizationConfig, LocalizationUpdate, Localizer
-from landmark_nav.localization.relocalization.candidate_detections import (
-    find_candidate_detections,
-)
+from landmark_nav.localization.relocalization.candidate_detections import find_candidate_detections
 from landmark_nav.localization.relocalization.search import RelocalizationConfig
 from landmark_nav.localization.relocalization.stream import Relocalizer
-from landmark_nav.types import (
-    CameraFrame,
-    FloatArray,
-    LandmarkMap,
-    OdometrySample,
-    PoseEstimate,
-    Refusal,
-)
+from landmark_nav.types import CameraFrame, LandmarkMap, OdometrySample, PoseEstimate, Refusal
 
 LENS = CameraModel(
     400, 300, 330.0, 330.0, 200.0, 150.0, distortion=(-0.15, 0.05, 0.001, -0.001, 0.0)
@@ -38,7 +26,7 @@ ALONG = ((-0.33, 0.3), (-0.2, -0.3), (-0.05, 0.35), (0.1, -0.2), (0.22, 0.25), (
 PANS = np.radians(np.arange(-180, 180, 40))
 
 
-def learned(scene: Scene) -> LandmarkMap:
+def learned(scene):
     """Six landmarks a wall, at different heights."""
     landmarks = [
         true_landmark(
@@ -53,9 +41,7 @@ def learned(scene: Scene) -> LandmarkMap:
 MAP = learned(SCENE)
 
 
-def sweep(
-    scene: Scene, pose: Sequence[float], pans: FloatArray = PANS, tilt_rad: float = 0.0
-) -> list[CameraFrame]:
+def sweep(scene, pose, pans=PANS, tilt_rad=0.0):
     rng = np.random.default_rng(3)
     return [
         draw_frame(
@@ -65,7 +51,7 @@ def sweep(
     ]
 
 
-def assert_right(found: PoseEstimate | Refusal, pose: Sequence[float]) -> None:
+def assert_right(found, pose):
     assert isinstance(found, PoseEstimate), str(found)
     error = pose_error(found, pose)
     assert np.hypot(*error[:2]) < 0.02
@@ -73,7 +59,7 @@ def assert_right(found: PoseEstimate | Refusal, pose: Sequence[float]) -> None:
     assert nees(error, found.covariance) < 21.0  # 3 dof: one in 10 000
 
 
-def assert_refused(found: PoseEstimate | Refusal, reason: str, *words: str) -> None:
+def assert_refused(found, reason, *words):
     assert found.reason == reason
     assert all(word in found.detail for word in words)
 
@@ -208,7 +194,6 @@ def test_a_camera_that_was_displaced_finds_its_place(tilt_rad, roll_rad):
 
 
 OTHER = textured_room(ROOM, seed=23, feature_m=0.045)
-
 
 POSE = (2.4, 1.9, 0.4)
 

@@ -13,13 +13,7 @@ from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.localization.localizer import LocalizationConfig
-from landmark_nav.types import (
-    CameraFrame,
-    JointSample,
-    LandmarkMap,
-    OdometrySample,
-    PoseEstimate,
-)
+from landmark_nav.types import CameraFrame, JointSample, LandmarkMap, OdometrySample, PoseEstimate
 
 SECOND = 1_000_000_000
 START = 1_763_654_321_000_000_007

@@ -1,13 +1,8 @@
-from __future__ import annotations
-
-from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 import json
-from pathlib import Path
 import re
 import shutil
-from typing import Any
 
 import cv2
 import numpy as np
@@ -35,7 +30,7 @@ _FLAGS = (
 
 
 @contextmanager
-def browser(profile: Path) -> Iterator[Any]:
+def browser(profile):
     """Return a Selenium driver; skip the test where Chromium or its driver is absent."""
     webdriver = pytest.importorskip('selenium.webdriver')
     binary = shutil.which('chromium') or shutil.which('google-chrome')

@@ -30,7 +30,6 @@ pan_axis: {xyz: [0.1, 0, 1.1], rpy: [0, 0, 0.2]}
 optical_center_offset: [0.05, 0, 0.02]
 """
 
-
 CAMERA = """\
 image_width: 640
 image_height: 480

@@ -1,7 +1,5 @@
 """Sheets of a known size: where panoramas show them, and the scale that they give."""
 
-from __future__ import annotations
-
 import colorsys
 from dataclasses import replace
 from itertools import combinations

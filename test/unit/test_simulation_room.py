@@ -12,9 +12,7 @@ from landmark_nav.geometry.walls import Paper, Room
 from landmark_nav.simulation.furnishing import generate_scene, move_one_box
 from landmark_nav.simulation.renderer import Renderer
 from landmark_nav.simulation.scene import Box, choose_sweep_places, EYE_HEIGHT_M, Scene, WallItem
-from landmark_nav.simulation.setup_documents import (
-    as_measured,
-)
+from landmark_nav.simulation.setup_documents import as_measured
 
 SEEDS = range(30)
 MOUNT = PanTiltMount((0.08, 0.0, 1.1), (0.0, 0.0, 0.0), (0.0, 0.0, 0.0))

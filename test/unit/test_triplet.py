@@ -1,9 +1,6 @@
 """The triplet is in view, the fix has the predicted covariance; where to look when lost."""
 
-from __future__ import annotations
-
 from itertools import combinations
-from typing import Any
 
 from builders import bare_landmark, walls_of
 from hypothesis import given, settings
@@ -30,7 +27,7 @@ from landmark_nav.localization.triplet.search import (
 )
 from landmark_nav.localization.triplet.selection import rank_triplets
 from landmark_nav.localization.triplet.visibility import TripletConfig, visible_landmarks
-from landmark_nav.types import Landmark, LandmarkMap, PoseEstimate, Refusal, Triplet
+from landmark_nav.types import LandmarkMap, PoseEstimate, Refusal, Triplet
 
 WIDTH, DEPTH = 6.6, 4.4
 CAMERA = CameraModel(512, 512, 573.0, 573.0, 255.5, 255.5, 'plumb_bob', (-0.1, 0.02))
@@ -40,11 +37,11 @@ PRIOR = PoseEstimate(42, np.array([3.0, 2.0, 0.3]), np.diag([0.01, 0.01, 0.005])
 ROOM = walls_of([(0, 0), (WIDTH, 0), (WIDTH, DEPTH), (0, DEPTH)], height=2.6)
 
 
-def select_triplet(*given: Any, **options: Any) -> Triplet | Refusal:
+def select_triplet(*given, **options):
     return rank_triplets(*given, **options).chosen
 
 
-def landmark(k: int, xy: tuple[float, float], normal: tuple[float, float], z: float) -> Landmark:
+def landmark(k, xy, normal, z):
     return bare_landmark(
         100 + k, np.array([*xy, z]), np.diag([0.006, 0.006, 0.01]) ** 2,
         shared_loading=np.vstack([0.004 * np.eye(2), np.zeros((1, 2))]),
@@ -53,7 +50,7 @@ def landmark(k: int, xy: tuple[float, float], normal: tuple[float, float], z: fl
     )  # fmt: skip
 
 
-def random_map(n: int, seed: int = 0) -> LandmarkMap:
+def random_map(n, seed=0):
     """Landmarks all around a room of 6.6 m x 4.4 m."""
     rng = np.random.default_rng(seed)
     made = []
@@ -66,7 +63,7 @@ def random_map(n: int, seed: int = 0) -> LandmarkMap:
     return LandmarkMap(tuple(made), walls=ROOM)
 
 
-def chosen(found: Triplet | Refusal) -> Triplet:
+def chosen(found):
     assert isinstance(found, Triplet), str(found)
     return found
 

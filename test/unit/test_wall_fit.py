@@ -47,7 +47,6 @@ def check(south, along, **options):
 ALONG = np.linspace(0.5, 5.5, 12)
 NOISE = np.random.default_rng(0).normal(0.0, 0.003, 12)
 
-
 # Frames of unequal depth: two patches on each of seven images.
 ON_POSTERS = np.repeat(np.linspace(0.6, 5.4, 7), 2) + np.tile([-0.1, 0.1], 7)
 FRAMES = np.repeat([0.0, 0.03, 0.01, 0.028, 0.0, 0.025, 0.015], 2)

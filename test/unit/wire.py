@@ -1,7 +1,5 @@
 """Messages as received: from a bag, and in the containers of rclpy."""
 
-from __future__ import annotations
-
 import array
 from dataclasses import fields, is_dataclass
 from types import SimpleNamespace
