@@ -43,7 +43,7 @@ _AROUND, _DEPTH_SHARE = 0.75, 0.1
 # Number of features that do not agree by chance, each in a cell of its own of this size.
 _AGREED, _ONE_PX = 3, 6.0
 # Rotations that are tried, rad; then these steps from the best one.
-_TURNS, _FINER = (0.0, 0.5, -0.5, 1.0, -1.0), (0.25,)
+_TURNS, _FINER = (0.0, 0.5, -0.5, 1.0, -1.0), (0.25, 0.12, 0.06)
 # Least score before the rotation is refined, relative to the final one; penalty of the score per
 # radian of rotation.
 _TURNING_SHARE = 0.8
