@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 import os
 import select
+import shutil
 import sys
 import termios
 import time
@@ -87,8 +88,9 @@ def run(args: argparse.Namespace) -> int:
                 client.drive(linear_m_s, angular_rad_s)
                 node = client.status_of('odometry_fusion')
                 speeds = f'{linear_m_s:5.2f} m/s {angular_rad_s:5.2f} rad/s'
-                line = f'{speeds}  {node.level} {node.reason}'
-                print(f'\r\x1b[K{line[: os.get_terminal_size().columns - 1]}', end='', flush=True)
+                columns = shutil.get_terminal_size().columns - 1
+                line = f'{speeds}  {node.level} {node.reason}'[:columns]
+                print(f'\r\x1b[K{line}', end='', flush=True)
         finally:
             client.drive(0.0, 0.0)
             print()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 from dataclasses import replace
+import logging
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,8 @@ from landmark_nav.storage.bags import sensor_events
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.robot_files import load_calibration
 from landmark_nav.types import LandmarkMap
+
+_LOG = logging.getLogger(__name__)
 
 # Names in the contract of the topics of `sensor_events`, for the length of the progress bar.
 _EVENTS = ('camera/image_raw', 'detections', 'odom', 'ground_truth/odom')
@@ -88,6 +91,8 @@ def run(args: argparse.Namespace) -> int:
     nodes = ('triplet_selector', 'triangulation_localizer', 'odometry_fusion')
     config = load_configuration(args.config, args.robot, *nodes)
 
+    _LOG.info('%s: %d landmarks', args.map, len(landmarks.landmarks))
+    _LOG.info('checks')
     # Walls that were found, not measured, carry no information about units.
     measured = landmarks.walls and not landmarks.has_own_frame
     diagnosis = checked(bag, calibration, Room(landmarks.walls) if measured else None)
@@ -97,6 +102,7 @@ def run(args: argparse.Namespace) -> int:
     calibration = delayed.widened({'joint_delay': late.pan_sigma_s})
     events = sensor_events(bag, mount, 0.0, late.images_s, late.odometry_s)
     events = progress(events, 'localizing', total)
+    _LOG.info('localization')
     strip = FrameStrip()
     if args.report or args.video:
         events = strip.watch(events)

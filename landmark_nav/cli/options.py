@@ -14,8 +14,9 @@ import shlex
 import shutil
 import sys
 from textwrap import fill
+from threading import Event, Thread
 import time
-from typing import Any, TYPE_CHECKING, TypeVar
+from typing import Any, ClassVar, TYPE_CHECKING, TypeVar
 
 from tqdm import tqdm
 
@@ -23,6 +24,8 @@ from landmark_nav.ros import require_ros
 from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.bags.definitions import TOPIC_TYPES
 from landmark_nav.types import FloatArray
+
+_LOG = logging.getLogger(__name__)
 
 if TYPE_CHECKING:  # the import needs ROS
     from landmark_nav.ros.robot_client import RobotClient
@@ -82,7 +85,9 @@ def robot_client(command: str, **options: Any) -> Iterator[RobotClient]:
 
 def open_bag(path: Path | str, args: argparse.Namespace) -> Bag:
     """Open a bag with the topics given by ``--topic``."""
-    return Bag(path, topics=dict(args.topic))
+    bag = Bag(path, topics=dict(args.topic))
+    _LOG.info('%s: %d messages', path, sum(bag.counts.values()))
+    return bag
 
 
 def _renamed(text: str) -> tuple[str, str]:
@@ -189,9 +194,10 @@ _FIRST_S, _LINE_EVERY_S = 2.0, 10.0
 
 
 class _Shown:
-    """Times of the start of the command and of its last line of progress, for all its bars."""
+    """Times of the start of the command and of its last line of progress; ends of open loops."""
 
     begin_s = line_s = time.monotonic()
+    loops: ClassVar[list[Event]] = []
 
 
 def progress(iterable: Iterable[T], description: str, total: int | None = None) -> Iterator[T]:
@@ -208,13 +214,27 @@ def progress(iterable: Iterable[T], description: str, total: int | None = None) 
         delay_s = max(0.0, _Shown.begin_s + _FIRST_S - time.monotonic())
         yield from tqdm(iterable, delay=delay_s, file=sys.stderr, **bar)
     else:
-        begin = time.monotonic()
         total = len(iterable) if total is None and isinstance(iterable, Sized) else total
-        for count, item in enumerate(iterable):
-            now = time.monotonic()
-            if now - _Shown.line_s > _LINE_EVERY_S and sys.stderr is not None:
-                known: Any = total
-                line = tqdm.format_meter(count, known, now - begin, 80, prefix=description)
-                print(line, file=sys.stderr, flush=True)
-                _Shown.line_s = now
-            yield item
+        done, ended = [0], Event()
+        _Shown.loops.append(ended)
+        Thread(target=_lines, args=(description, done, total, ended), daemon=True).start()
+        try:
+            for item in iterable:
+                yield item
+                done[0] += 1
+        finally:
+            ended.set()
+            _Shown.loops.remove(ended)
+
+
+def _lines(description: str, done: list[int], total: Any, ended: Event) -> None:
+    """Print a line of progress every ten seconds in a loop, except while one inside it runs."""
+    begin = time.monotonic()
+    # Short waits, as the last line may be that of another loop.
+    while not ended.wait(1.0):
+        now = time.monotonic()
+        is_due = now - _Shown.line_s > _LINE_EVERY_S and _Shown.loops[-1:] == [ended]
+        if is_due and sys.stderr is not None:
+            _Shown.line_s = now
+            line = tqdm.format_meter(done[0], total, now - begin, 80, prefix=description)
+            print(line, file=sys.stderr, flush=True)

@@ -5,8 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+import logging
 import resource
 import time
+
+_LOG = logging.getLogger(__name__)
 
 
 @dataclass
@@ -25,6 +28,7 @@ class StageLog:
     def measure(self, stage: str) -> Iterator[None]:
         """Add the time of the block to a stage."""
         next(self.steps, None)
+        _LOG.info('%s', stage)
         start = time.perf_counter()
         try:
             yield

@@ -382,13 +382,13 @@ function drawCharts() {
       return [svg, inner];
     };
     for (const {label, low, limit, t, series} of charts) {
+      const title = add(drawn, 'p', {class: 'of-chart'}, label);
       const [svg, inner] = panel(TALL, label), bottom = low === undefined ? -limit : low;
       const y = (v) => (v === null ? null : TALL * (limit - v) / (limit - bottom));
       for (const v of ticks(bottom, limit, 4)) {
         add(inner, 'path', {class: 'axis', d: `M0 ${y(v)}H${wide}`});
         add(svg, 'text', {x: LEFT - 5, y: y(v) + 8, 'text-anchor': 'end'}, v);
       }
-      add(svg, 'text', {x: LEFT + 4, y: 15, 'font-weight': 600}, label);
       let beyond = 0;
       for (const s of series) {
         const times = s.t || t, points = s.y.map((v, k) => (v === null ? null : [x(times[k]), y(v)]));
@@ -406,7 +406,7 @@ function drawCharts() {
           if (s.kind === 'level') add(inner, 'path', {...style, d: path(mirrored())});
         }
       }
-      if (beyond) add(svg, 'text', {x: width - RIGHT - 3, y: 15, 'text-anchor': 'end'}, `${beyond} beyond`);
+      if (beyond) title.textContent += `; ${beyond} beyond the axis`;
       cursors.push(add(inner, 'path', {class: 'cursor', visibility: run ? '' : 'hidden'}));
     }
     if (run) {
@@ -434,7 +434,7 @@ function drawCharts() {
     for (const t of ticks(first, Math.max(last, first + 1e-6), Math.max(wide / 60, 2))) {
       add(axis, 'text', {x: LEFT + x(t), y: 12, 'text-anchor': 'middle'}, `${t} s`);
     }
-    drawn.insertBefore(axis, drawn.querySelector('p'));
+    drawn.insertBefore(axis, drawn.querySelector('p.hint'));
     if (run) place(now);
   };
   const place = (k) => {
