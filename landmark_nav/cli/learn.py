@@ -88,7 +88,7 @@ def run(args: argparse.Namespace) -> int:
     given = load_calibration(args.robot)
     bag = open_bag(args.bag, args)
     # Walls alone do not show where the sweeps were.
-    placed = room is not None and bool(room.papers or room.markers or bag.find('sweep/pose'))
+    placed = room is not None and bool(room.anchors or bag.find('sweep/pose'))
     config = _config(args, placed)
     log = StageLog()
     with log.measure('checks'):
@@ -141,7 +141,7 @@ def run(args: argparse.Namespace) -> int:
     if args.report:
         inputs = {'bag': bag.path, 'room': args.room, 'robot': args.robot, 'config': args.config}
         title = f'{args.out.name}, learned from {bag.path.name}'
-        page = learning_page(report, result, room.papers)
+        page = learning_page(report, result, room.anchors)
         write_report(args.report, page, title, args.command_line, inputs)
     lines = text_of(learning_verdict(report, result.warning), learning_tables(report))
     lines += [f'panorama {k}: {p.quality}' for k, p in enumerate(result.panoramas, 1)]
@@ -152,7 +152,7 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _draw(result: LearningResult, room: Room, folder: Path) -> None:
-    draw_map(result.map, folder / 'map.png', room.papers)
+    draw_map(result.map, folder / 'map.png', room.anchors)
     of_panoramas = zip(result.panoramas, result.candidates, result.outcomes, strict=True)
     for k, drawn in enumerate(of_panoramas, 1):
         draw_panorama(*drawn, folder / f'panorama_{k}.png')
