@@ -87,8 +87,7 @@ def run(args: argparse.Namespace) -> int:
     room = load_room(args.room) if args.room else None
     given = load_calibration(args.robot)
     bag = open_bag(args.bag, args)
-    # Walls alone do not show where the sweeps were.
-    placed = room is not None and bool(room.anchors or bag.find('sweep/pose'))
+    placed = room is not None and is_placed(bag, room)
     config = _config(args, placed)
     log = StageLog()
     with log.measure('checks'):
@@ -158,6 +157,21 @@ def _draw(result: LearningResult, room: Room, folder: Path) -> None:
         draw_panorama(*drawn, folder / f'panorama_{k}.png')
 
 
+def is_placed(bag: Bag, room: Room) -> bool:
+    """Whether bag and room give the poses of sweeps, which walls alone do not."""
+    return bool(room.anchors or bag.find('sweep/pose'))
+
+
+def check_scale(bag: Bag, config: Configuration) -> None:
+    """Raise `LandmarkNavError` if nothing gives the scale of sweeps without a plan."""
+    sheets = config.unmeasured.sheets
+    if not (bag.find('odom', 'sweep/pose') or sheets.has_papers or sheets.has_markers):
+        raise LandmarkNavError(
+            f'{bag.path}: nothing gives the scale: record odom, publish sweep/pose, hang sheets '
+            '(--paper-size, --marker-size), or measure walls and papers (--room)'
+        )
+
+
 def located_sweeps(
     bag: Bag, given: Calibration, config: Configuration, log: StageLog
 ) -> tuple[unmeasured.Located, list[int]]:
@@ -167,12 +181,8 @@ def located_sweeps(
     Raises `LandmarkNavError`: nothing gives the scale, a source of poses does not give that of
     each sweep, or the robot moved during a sweep.
     """
-    sheets, odometry = config.unmeasured.sheets, bag.find('odom')
-    if not (odometry or bag.find('sweep/pose') or sheets.has_papers or sheets.has_markers):
-        raise LandmarkNavError(
-            f'{bag.path}: nothing gives the scale: record odom, publish sweep/pose, hang sheets '
-            '(--paper-size, --marker-size), or measure walls and papers (--room)'
-        )
+    check_scale(bag, config)
+    odometry = bag.find('odom')
     frames: list[int] = []
 
     def sweeps() -> Iterator[Sweep]:
