@@ -146,7 +146,7 @@ def _by_papers(
     """How papers that hang elsewhere move a panorama, (4, 1 + 2 k)."""
     loading = np.zeros((4, 1 + 2 * len(room.anchors)))
     least = least_in_view(room)
-    if len(room.anchors) < least:
+    if not room.anchors or len(room.anchors) < least:
         return loading
     eye = panorama.center_map[None]
     seen = papers_in_view(eye[:, :2], room)
