@@ -12,16 +12,17 @@ import numpy as np
 
 from landmark_nav.calibration import Calibration, NAMES, shown, UNITS
 from landmark_nav.cli.check import checked
-from landmark_nav.cli.learn import panoramas_of_bag
+from landmark_nav.cli.learn import check_scale, is_placed, located_sweeps, panoramas_of_bag
 from landmark_nav.cli.options import add, open_bag, progress, text_of, wrapped
 from landmark_nav.configuration import Configuration, load_configuration, READS
 from landmark_nav.diagnosis.looks import ZOOM
-from landmark_nav.errors import inside, LandmarkNavError, UsageError
+from landmark_nav.errors import inside, LandmarkNavError
 from landmark_nav.evaluation import calibration_run
 from landmark_nav.evaluation.report import calibration_page, check_report, tables, write_report
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.pipeline import learn_from_panoramas
 from landmark_nav.learning.stages import StageLog
+from landmark_nav.learning.unmeasured import learn_located, with_plan
 from landmark_nav.storage.atomic_io import check_new, check_writable, write_json
 from landmark_nav.storage.bags import Bag, sensor_events
 from landmark_nav.storage.bags.definitions import DRIVE_IMAGES
@@ -51,8 +52,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of the command."""
     parser.description = (
         'Estimate how the camera is mounted out of sweeps, drives or both, and write a robot.yaml '
-        'with standard deviations. Sweeps need --room; a drive needs --map, or two sweeps in the '
-        'bags to learn one from. Sweeps are used first, in the order of the bags.'
+        'with standard deviations. A drive needs --map, or two sweeps in the bags to learn one '
+        'from. Sweeps are used first, in the order of the bags; without --room as learn does, out '
+        'of one bag, and not at all if there are --map and a drive.'
     )
     parser.add_argument('bags', metavar='BAG', nargs='+', help='bag with sweeps or a drive')
     add(parser, '--topic', '--room', '--map', '--config', '--overwrite')
@@ -79,15 +81,15 @@ def run(args: argparse.Namespace) -> int:
         if bag not in sweeps and bag not in drives:
             what = 'no sweep and no drive (images with odometry)'
             raise LandmarkNavError(f'{bag.path}: holds {what}: take another')
-    if sweeps and room is None and not (drives and landmarks):
-        raise UsageError(f'{sweeps[0].path}: sweeps need --room')
+    if room is None and drives and landmarks:
+        sweeps = []
 
     # A map learned with the same robot.yaml contains the calibration by its sweeps; use it once.
     known = given
-    if landmarks is not None and not (sweeps and room):
+    if landmarks is not None and not sweeps:
         known = landmarks.calibration_from(given)
     work = _Work(known, landmarks, load_configuration(args.config, args.robot, *READS))
-    if room is not None:
+    if sweeps:
         _use_sweeps(work, sweeps, room, bool(drives))
     for bag in drives:
         _use_drive(work, bag)
@@ -129,27 +131,45 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _use_sweeps(work: _Work, bags: list[Bag], room: Room, mapped: bool) -> None:
+def _use_sweeps(work: _Work, bags: list[Bag], room: Room | None, mapped: bool) -> None:
     """Calibrate by sweeps; learn a map from them if one is required and not given."""
-    config, given = work.config, work.known
+    config, given, located = work.config, work.known, None
     for bag in bags:
+        plan = room if room is not None and is_placed(bag, room) else None
+        if plan is None:
+            if len(bags) > 1:
+                how = 'give one, or a --room with papers or markers'
+                raise LandmarkNavError(f'{bag.path}: each bag of sweeps has its own frame: {how}')
+            check_scale(bag, config)
         checked(bag, given, room)
         # Sweeps share errors: each bag begins with what is given.
-        work.panoramas += panoramas_of_bag(bag, room, given, config, StageLog())[0]
+        if plan is not None:
+            work.panoramas += panoramas_of_bag(bag, plan, given, config, StageLog())[0]
+            continue
+        located, _ = located_sweeps(bag, given, config, StageLog())
+        located = with_plan(located, room) if room is not None else located
+        work.panoramas += located.panoramas
     if work.panoramas:
         work.known = work.panoramas[-1].calibration or given
     if len(work.panoramas) < _LEAST_PANORAMAS or (work.landmarks is not None and mapped):
         return
-    learned = replace(learn_from_panoramas(work.panoramas, room, config).map, prior=given)
-    work.known = learned.calibration or work.known
-    work.landmarks = learned
+    if located is not None:
+        learned = learn_located(located, config, config.unmeasured).map
+        learned.provenance.update(located.provenance)
+    elif room is not None:
+        learned = learn_from_panoramas(work.panoramas, room, config).map
+    else:
+        return
+    work.landmarks = learned = replace(learned, prior=given)
+    if learned.calibration is not None:
+        work.known = learned.calibration_from(given)
 
 
 def _use_drive(work: _Work, bag: Bag) -> None:
     """Calibrate by a drive, with the current estimate as the prior."""
     landmarks, known = work.landmarks, work.known
     if landmarks is None or not landmarks.landmarks:
-        how = 'give --map, or --room and a bag with two sweeps'
+        how = 'give --map, or a bag with two sweeps'
         raise LandmarkNavError(f'{bag.path}: a drive needs a map: {how}')
     room = Room(landmarks.walls) if landmarks.walls else None
     diagnosis = checked(bag, known, room)

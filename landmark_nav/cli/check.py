@@ -50,7 +50,7 @@ def run(args: argparse.Namespace) -> int:
         room = Room(walls) if walls else None
     bag = _shown(open_bag(args.bag, args))
     found = diagnose(bag, known, room)
-    if room is not None and room.papers:
+    if room is not None and room.anchors:
         found = replace(found, findings=(*found.findings, *check_papers(bag, known, room)))
     if args.map and args.robot and not found.errors and bag.find('odom'):
         found = replace(found, findings=(*found.findings, *_check_map(bag, args)))

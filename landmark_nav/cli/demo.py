@@ -130,7 +130,7 @@ def _report(
     else:
         learned = learn_from_panoramas(swept, room, LearningConfig())
         inputs['room'] = folder / 'room.yaml'
-    papers = room.papers if room else ()
+    papers = room.anchors if room else ()
     page = drive_page(measured, run, errors, landmarks, calibration, strip, papers=papers)
     page['data']['panoramas'] = panoramas(learned)
     write_report(folder / 'report.html', page, 'Demo', command, inputs)

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from landmark_nav.calibration import Calibration
 from landmark_nav.cli.learn import located_sweeps
 from landmark_nav.cli.options import add, open_bag, progress, wrapped
 from landmark_nav.configuration import Configuration
@@ -35,7 +36,7 @@ from landmark_nav.storage.atomic_io import check_writable
 from landmark_nav.storage.bags import read_sweeps
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.robot_files import load_calibration
-from landmark_nav.storage.setup_files import load_robot, load_room
+from landmark_nav.storage.setup_files import load_room
 from landmark_nav.types import Panorama, Sweep
 
 _NAMES = {
@@ -108,7 +109,8 @@ def _gather(args: argparse.Namespace, wanted: set[int], attention: AttentionConf
         if wanted != {6}:
             raise UsageError('--map alone gives Figure 6: the others need --bag')
         return Room(given.walls), (), (), None, given
-    mount = load_robot(args.robot) if args.robot else DEFAULT_MOUNT
+    robot = load_calibration(args.robot) if args.robot else Calibration.exact(DEFAULT_MOUNT)
+    mount, tilt_rad = robot.mount, robot['camera_tilt'][0]
     room = load_room(args.room) if args.room else None
     most = None if wanted - _OF_ONE else 1
     if args.bag:
@@ -120,7 +122,7 @@ def _gather(args: argparse.Namespace, wanted: set[int], attention: AttentionConf
         scene = generate_scene(args.seed, room)
         room, simulated = scene.room, []
         for pose in progress(sweep_places(scene).poses[:most], 'sweeps'):
-            world = RobotWorld(scene, pose, scene.seed, mount=mount)
+            world = RobotWorld(scene, pose, scene.seed, mount=mount, camera_tilt_rad=tilt_rad)
             pans = -np.pi + 2.0 * np.pi * np.arange(_FRAMES) / _FRAMES
             frames = tuple(world.frame_at(pose, float(pan)) for pan in pans)
             simulated.append(Sweep(frames[0].stamp_ns, frames))
@@ -128,13 +130,13 @@ def _gather(args: argparse.Namespace, wanted: set[int], attention: AttentionConf
     config = replace(Configuration(), attention=attention)
     learned = None
     if room is None:
-        located, _ = located_sweeps(bag, load_calibration(args.robot), config, StageLog())
+        located, _ = located_sweeps(bag, robot, config, StageLog())
         room, panoramas = located.room, located.panoramas
         if wanted & _LEARNED:
             learned = learn_located(located, config, config.unmeasured)
     else:
         panoramas = tuple(
-            panorama_from_sweep(sweep, room, mount, config)
+            panorama_from_sweep(sweep, room, robot, config)
             for sweep in progress(sweeps, 'panoramas')
         )
         if wanted & _LEARNED:

@@ -87,8 +87,7 @@ def run(args: argparse.Namespace) -> int:
     room = load_room(args.room) if args.room else None
     given = load_calibration(args.robot)
     bag = open_bag(args.bag, args)
-    # Walls alone do not show where the sweeps were.
-    placed = room is not None and bool(room.papers or room.markers or bag.find('sweep/pose'))
+    placed = room is not None and is_placed(bag, room)
     config = _config(args, placed)
     log = StageLog()
     with log.measure('checks'):
@@ -141,7 +140,7 @@ def run(args: argparse.Namespace) -> int:
     if args.report:
         inputs = {'bag': bag.path, 'room': args.room, 'robot': args.robot, 'config': args.config}
         title = f'{args.out.name}, learned from {bag.path.name}'
-        page = learning_page(report, result, room.papers)
+        page = learning_page(report, result, room.anchors)
         write_report(args.report, page, title, args.command_line, inputs)
     lines = text_of(learning_verdict(report, result.warning), learning_tables(report))
     lines += [f'panorama {k}: {p.quality}' for k, p in enumerate(result.panoramas, 1)]
@@ -152,10 +151,25 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _draw(result: LearningResult, room: Room, folder: Path) -> None:
-    draw_map(result.map, folder / 'map.png', room.papers)
+    draw_map(result.map, folder / 'map.png', room.anchors)
     of_panoramas = zip(result.panoramas, result.candidates, result.outcomes, strict=True)
     for k, drawn in enumerate(of_panoramas, 1):
         draw_panorama(*drawn, folder / f'panorama_{k}.png')
+
+
+def is_placed(bag: Bag, room: Room) -> bool:
+    """Whether bag and room give the poses of sweeps, which walls alone do not."""
+    return bool(room.anchors or bag.find('sweep/pose'))
+
+
+def check_scale(bag: Bag, config: Configuration) -> None:
+    """Raise `LandmarkNavError` if nothing gives the scale of sweeps without a plan."""
+    sheets = config.unmeasured.sheets
+    if not (bag.find('odom', 'sweep/pose') or sheets.has_papers or sheets.has_markers):
+        raise LandmarkNavError(
+            f'{bag.path}: nothing gives the scale: record odom, publish sweep/pose, hang sheets '
+            '(--paper-size, --marker-size), or measure walls and papers (--room)'
+        )
 
 
 def located_sweeps(
@@ -167,12 +181,8 @@ def located_sweeps(
     Raises `LandmarkNavError`: nothing gives the scale, a source of poses does not give that of
     each sweep, or the robot moved during a sweep.
     """
-    sheets, odometry = config.unmeasured.sheets, bag.find('odom')
-    if not (odometry or bag.find('sweep/pose') or sheets.has_papers or sheets.has_markers):
-        raise LandmarkNavError(
-            f'{bag.path}: nothing gives the scale: record odom, publish sweep/pose, hang sheets '
-            '(--paper-size, --marker-size), or measure walls and papers (--room)'
-        )
+    check_scale(bag, config)
+    odometry = bag.find('odom')
     frames: list[int] = []
 
     def sweeps() -> Iterator[Sweep]:

@@ -14,7 +14,8 @@ from landmark_nav.planning.planner import Plan, plan_positions
 from landmark_nav.planning.prediction import CAP_M
 from landmark_nav.planning.views import PlanConfig
 from landmark_nav.storage.atomic_io import check_new, check_writable, write_atomically
-from landmark_nav.storage.setup_files import load_robot, load_room
+from landmark_nav.storage.robot_files import load_calibration
+from landmark_nav.storage.setup_files import load_room
 
 _SCHEMA = 1
 
@@ -55,10 +56,12 @@ def run(args: argparse.Namespace) -> int:
         )
     check_new(args.overwrite, args.out, figure_path)
     check_writable(figure_path)
-    room, mount = load_room(args.room), load_robot(args.robot)
+    room, known = load_room(args.room), load_calibration(args.robot)
+    mount, tilt_rad = known.mount, known['camera_tilt'][0]
     (width, height), (low, high) = args.size, mount.pan_limits_rad
     seen = {'focal_px': args.focal, 'width_px': width, 'height_px': height}
-    config = PlanConfig(**seen, pan_min_rad=low, pan_max_rad=high, clearance_m=args.clearance)
+    seen |= {'pan_min_rad': low, 'pan_max_rad': high, 'camera_tilt_rad': tilt_rad}
+    config = PlanConfig(**seen, clearance_m=args.clearance)
     rng = np.random.default_rng(0)
     plan = plan_positions(room, mount, args.positions, config, rng, progress)
     draw_plan(plan, room, figure_path)

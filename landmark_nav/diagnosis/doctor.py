@@ -159,13 +159,14 @@ def diagnose(
 
 
 def check_papers(bag: Bag, known: Calibration, room: Room) -> list[Finding]:
-    """Locate each sweep of a bag, if any, by the papers of a room, as `learn` does."""
+    """Locate each sweep of a bag, if any, by the papers or markers of a room, as `learn` does."""
     found: list[Finding] = []
     if not bag.find(*SWEEP_IMAGES):
         return found
     sweeps = read_sweeps(bag, known.mount)
     while True:
-        name = f'papers, sweep {len(found) + 1}'
+        kind = 'papers' if room.papers else 'markers'
+        name = f'{kind}, sweep {len(found) + 1}'
         try:
             sweep = next(sweeps, None)
             if sweep is None:

@@ -60,22 +60,37 @@ class Paper:
     width: float
     height: float
 
+    @property
+    def name(self) -> str:
+        """Name for people."""
+        return f'{self.color} paper'
 
-# Dictionaries of markers as OpenCV names them.
-_DICTIONARIES = (
-    *(f'DICT_{n}X{n}_{count}' for n in (4, 5, 6, 7) for count in (50, 100, 250, 1000)),
-    'DICT_ARUCO_ORIGINAL',
-    *(f'DICT_APRILTAG_{family}' for family in ('16h5', '25h9', '36h10', '36h11')),
-)
+    @property
+    def bgr(self) -> tuple[float, float, float]:
+        """Blue, green and red, 0 to 255."""
+        return paper_bgr(self.color)
 
 
-def check_marker_dictionary(name: str) -> None:
-    """Raise `LandmarkNavError` if OpenCV has no dictionary of markers of this name."""
+# Dictionaries of markers as OpenCV names them, and the number of their markers.
+_DICTIONARIES = {
+    f'DICT_{n}X{n}_{count}': count for n in (4, 5, 6, 7) for count in (50, 100, 250, 1000)
+} | {
+    'DICT_ARUCO_ORIGINAL': 1024,
+    'DICT_APRILTAG_16h5': 30,
+    'DICT_APRILTAG_25h9': 35,
+    'DICT_APRILTAG_36h10': 2320,
+    'DICT_APRILTAG_36h11': 587,
+}
+
+
+def marker_count(name: str) -> int:
+    """Return the size of a dictionary; `LandmarkNavError` if OpenCV has none of this name."""
     if name not in _DICTIONARIES:
         raise LandmarkNavError(
             f'marker dictionary {shown(name)}: take one that OpenCV has, as DICT_4X4_50, '
             'DICT_6X6_250 or DICT_APRILTAG_36h11'
         )
+    return _DICTIONARIES[name]
 
 
 @dataclass(frozen=True)
@@ -85,6 +100,19 @@ class Marker:
     number: int
     center: tuple[float, float, float]
     size: float
+
+    @property
+    def name(self) -> str:
+        """Name for people."""
+        return f'marker {self.number}'
+
+    @property
+    def width(self) -> float:
+        """Width, metres."""
+        return self.size
+
+    height = width
+    bgr = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -146,6 +174,11 @@ class Room:
                 'the inside of the room must lie to the left of start -> end: '
                 'the walls run clockwise, swap start and end of each'
             )
+
+    @property
+    def anchors(self) -> tuple[Paper | Marker, ...]:
+        """What gives the pose of a sweep: the papers, or markers where there are none."""
+        return self.papers or self.markers
 
     @cached_property
     def _starts(self) -> FloatArray:

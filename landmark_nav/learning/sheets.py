@@ -16,7 +16,7 @@ import numpy as np
 from landmark_nav.arrays import BoolArray, ImageArray
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.cylinder import Cylinder
-from landmark_nav.geometry.walls import check_marker_dictionary, paper_bgr
+from landmark_nav.geometry.walls import marker_count, paper_bgr
 from landmark_nav.learning.panorama.synthesis import CylinderImage
 from landmark_nav.learning.reference_area.blobs import color_blobs
 from landmark_nav.learning.reference_area.edges import outline_blobs
@@ -49,7 +49,7 @@ class SheetsConfig(Config):
             raise LandmarkNavError(
                 f'papers of {self.paper_width_m:g} m x {self.paper_height_m:g} m: give both sides'
             )
-        check_marker_dictionary(self.marker_dictionary)
+        marker_count(self.marker_dictionary)
         for color in self.paper_colors.split():
             paper_bgr(color)
 

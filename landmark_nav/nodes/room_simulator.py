@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from landmark_nav.calibration import Calibration
 from landmark_nav.configuration import Configuration
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
@@ -22,7 +23,7 @@ from landmark_nav.ros.topics import ros_factory, TransformBroadcaster
 from landmark_nav.simulation.furnishing import generate_scene
 from landmark_nav.simulation.scene import choose_sweep_places
 from landmark_nav.simulation.world import DEFAULT_CAMERA, DEFAULT_MOUNT, RobotWorld
-from landmark_nav.storage.setup_files import load_camera, load_robot, load_room
+from landmark_nav.storage.setup_files import load_camera, load_room
 
 _STEP_S = 1.0 / 60.0
 # Odometry comes at half the rate of the joint states.
@@ -50,9 +51,10 @@ class RoomSimulatorNode(ConfiguredNode):
         """Read parameters and files; create topics and services."""
         super().set_up()
         config = self.config
-        self._mount = load_robot(config.robot_file) if config.robot_file else DEFAULT_MOUNT
+        known = self._robot() if config.robot_file else Calibration.of_mount(DEFAULT_MOUNT)
+        self._mount, tilt_rad = known.mount, known['camera_tilt'][0]
         self._began_s = time.monotonic()
-        self._world = _build(config, self._mount, time.time_ns())
+        self._world = _build(config, self._mount, tilt_rad, time.time_ns())
         self._steps = self._image_count = self._image_due_ns = 0
         self._last_command = 0.0
         self._joints = self.advertise('joint_states')
@@ -65,7 +67,7 @@ class RoomSimulatorNode(ConfiguredNode):
         }
         self._info = self.advertise('camera/camera_info')
         self._transforms = TransformBroadcaster(self)
-        camera = encode.camera_transform(self._mount, _OPTICAL_FRAME)
+        camera = encode.camera_transform(self._mount, _OPTICAL_FRAME, tilt_rad)
         self._transforms.send_static(self._world.stamp_ns, [camera])
         self.listen('cmd_vel', self._on_velocity)
         listen_for_pan(self, self._mount, config.command.type, self._world.command_pan)
@@ -142,7 +144,9 @@ class RoomSimulatorNode(ConfiguredNode):
                 publisher.publish(encoded(ros_factory, image, stamp, _OPTICAL_FRAME))
 
 
-def _build(config: Configuration, mount: PanTiltMount, start_ns: int) -> RobotWorld:
+def _build(
+    config: Configuration, mount: PanTiltMount, camera_tilt_rad: float, start_ns: int
+) -> RobotWorld:
     scene = generate_scene(config.seed, load_room(config.room_file) if config.room_file else None)
     places = choose_sweep_places(scene)
     if places is None:
@@ -153,6 +157,7 @@ def _build(config: Configuration, mount: PanTiltMount, start_ns: int) -> RobotWo
         config.seed,
         camera=load_camera(config.camera_file) if config.camera_file else DEFAULT_CAMERA,
         mount=mount,
+        camera_tilt_rad=camera_tilt_rad,
         start_ns=start_ns,
     )
 

@@ -2,8 +2,8 @@
 Acquisition planning: positions of panoramas that give the best localization on the whole floor.
 
 Livatino and Madsen announce a simulator for this. Here errors are propagated instead, from the
-edges of papers to the poses of panoramas, from there to landmarks, and on to the pose of the
-robot. Without papers, the relative poses of panoramas come from the panoramas themselves.
+edges of papers or markers to the poses of panoramas, from there to landmarks, and on to the pose
+of the robot. Without them, the relative poses of panoramas come from the panoramas themselves.
 
 Search: the best of some random sets, then exchange of one position at a time (Fedorov, Theory of
 Optimal Experiments, 1972).
@@ -21,7 +21,7 @@ from landmark_nav.arrays import IndexArray
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
-from landmark_nav.learning.reference_area.search import LEAST_PAPERS
+from landmark_nav.learning.reference_area.common_errors import least_in_view
 from landmark_nav.planning.prediction import Forecast, Predictor
 from landmark_nav.planning.views import (
     free_floor,
@@ -135,8 +135,8 @@ def plan_positions(
     Propose `count` positions for panoramas, 2 or more.
 
     The proposal depends on `rng`, which draws the random sets, only if one of these is the best.
-    Raises `LandmarkNavError`: fewer than two positions, one or two papers, or too few positions
-    from which enough papers are in view.
+    Raises `LandmarkNavError`: fewer than two positions, too few papers or markers in the room,
+    or too few positions from which enough of them are in view.
     """
     _check(room, count)
     floor = free_floor(room, config.clearance_m, config.spacing_m, _MAX_POSITIONS)
@@ -151,9 +151,9 @@ def plan_positions(
     views = look(poses, samples, room, mount, config)
     if len(views) < count:
         words = (
-            f'see {_enough(room)} papers whole, {count} are needed: hang the papers lower, larger '
+            f'see {_enough(room)} whole, {count} are needed: hang them lower, larger '
             'or nearer to each other'
-            if room.papers
+            if room.anchors
             else f'are there, {count} are needed: give a smaller clearance'
         )
         raise LandmarkNavError(f'{len(views)} places on the free floor {words}')
@@ -191,14 +191,14 @@ def forecast(
     """
     Predict the results of sets of two or more poses (n, 3) of the base, on floor `cells` (c, 2).
 
-    Raises `LandmarkNavError`: a pose does not see enough papers.
+    Raises `LandmarkNavError`: a pose does not see enough papers or markers.
     """
     samples = sample_walls(room, config.spacing_m, _MAX_SAMPLES)
     poses = np.concatenate(sets)
     views = look(poses, samples, room, mount, config)
     if len(views) < len(poses):
         raise LandmarkNavError(
-            f'{len(poses) - len(views)} of {len(poses)} places do not see {_enough(room)} papers'
+            f'{len(poses) - len(views)} of {len(poses)} places do not see {_enough(room)}'
         )
     predictor = Predictor(views, samples, cells, room, config)
     ends = np.cumsum([len(places) for places in sets])
@@ -213,14 +213,18 @@ def _check(room: Room, count: int) -> None:
         raise LandmarkNavError(
             f'positions: {count}: landmarks are learned from two places or more'
         )
-    if 0 < len(room.papers) < LEAST_PAPERS:
+    if len(room.anchors) < (least := least_in_view(room)):
         raise LandmarkNavError(
-            f'the room names {len(room.papers)} reference papers: list three in room.yaml, which '
-            'give the pose of a panorama, or none'
+            f'the room names {len(room.anchors)} reference {_kind(room)}: list {least} in '
+            'room.yaml, which give the pose of a panorama, or none'
         )
 
 
 def _enough(room: Room) -> str:
-    """Text: the number of papers that must be in view."""
-    count = len(room.papers)
-    return f'all {count}' if count == LEAST_PAPERS else f'{LEAST_PAPERS} of {count}'
+    """Text: how many papers or markers must be in view."""
+    count, least = len(room.anchors), least_in_view(room)
+    return f'all {count} {_kind(room)}' if count == least else f'{least} of {count} {_kind(room)}'
+
+
+def _kind(room: Room) -> str:
+    return 'papers' if room.papers else 'markers'

@@ -13,9 +13,8 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.adjustment.problem import AdjustmentConfig
 from landmark_nav.learning.election import ElectionConfig
-from landmark_nav.learning.reference_area.common_errors import pose_errors
+from landmark_nav.learning.reference_area.common_errors import least_in_view, pose_errors
 from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
-from landmark_nav.learning.reference_area.search import LEAST_PAPERS
 from landmark_nav.learning.stereo.wall_patch import StereoConfig
 from landmark_nav.learning.unmeasured import RELATIVE_SIGMA
 from landmark_nav.localization.triplet.visibility import TripletConfig
@@ -36,6 +35,8 @@ class PlanConfig(Config):
     height_px: int = 512
     pan_min_rad: float = -np.pi
     pan_max_rad: float = np.pi
+    # View of the camera above the horizontal.
+    camera_tilt_rad: float = 0.0
     # Smallest distance of the robot from walls.
     clearance_m: float = 0.4
     # Smallest spacing of floor points and of wall samples.
@@ -54,9 +55,12 @@ class PlanConfig(Config):
     triplet: TripletConfig = field(default_factory=TripletConfig)
 
     @property
-    def steepest(self) -> float:
-        """Largest tangent of elevation in panoramas."""
-        return (0.5 * self.height_px - self.triplet.border_px) / self.focal_px
+    def elevations(self) -> tuple[float, float]:
+        """Least and largest tangent of elevation in panoramas."""
+        half = np.arctan((0.5 * self.height_px - self.triplet.border_px) / self.focal_px)
+        # Up to a right angle, exclusively.
+        low, high = np.clip(self.camera_tilt_rad + np.array([-half, half]), -1.57, 1.57)
+        return float(np.tan(low)), float(np.tan(high))
 
     @property
     def half_arc_rad(self) -> float:
@@ -126,8 +130,9 @@ def sample_walls(room: Room, spacing_m: float, most: int) -> WallSamples:
     )
 
 
-# Smallest visible size of a paper that is found by its colour, pixels; largest angle of incidence.
-_MIN_PAPER_PX = 8.0
+# Smallest visible size of a paper that is found by its colour, and of a marker, whose nine cells
+# or fewer are two pixels wide; pixels. Largest angle of incidence.
+_MIN_PAPER_PX, _MIN_MARKER_PX = 8.0, 18.0
 _MAX_PAPER_INCIDENCE_RAD = 1.2
 
 
@@ -137,10 +142,10 @@ class Views:
     Visibility of s wall samples from p poses (p, 3) of the base.
 
     The viewpoint `eye` is the pan axis at the height of the optical centre, in map. `covariance`
-    (p, 3, 3) is that of x, y and heading of the pan axis, by papers, or else by the relative poses
-    of panoramas; `by_papers` (p, 3, m) are loadings of the errors of papers, which all poses
-    share; the factors have unit variance. By pose and sample (p, s): azimuth in map and range;
-    `share` of the textured band that is in the image, 0 if a sample is hidden or seen too
+    (p, 3, 3) is that of x, y and heading of the pan axis, by papers or markers, or else by the
+    relative poses of panoramas; `by_papers` (p, 3, m) are loadings of the errors of papers, which
+    all poses share; the factors have unit variance. By pose and sample (p, s): azimuth in map and
+    range; `share` of the textured band that is in the image, 0 if a sample is hidden or seen too
     obliquely to be matched; `proposed`, the expected number of patches that attention proposes and
     that can become landmarks.
     """
@@ -161,7 +166,7 @@ class Views:
 
 def ahead_rad(floor_xy: FloatArray, room: Room) -> FloatArray:
     """Azimuths (n,) in map from points (n, 2) to the centre of the papers, or of the room."""
-    hung = [paper.center[:2] for paper in room.papers] or room.bounds
+    hung = [paper.center[:2] for paper in room.anchors] or room.bounds
     ahead = np.mean(hung, axis=0) - floor_xy
     return np.asarray(np.arctan2(ahead[:, 1], ahead[:, 0]))
 
@@ -192,21 +197,23 @@ def look(
     config: PlanConfig,
 ) -> Views:
     """
-    Compute the visibility of wall samples from poses (n, 3) that see enough papers.
+    Compute the visibility of wall samples from poses (n, 3) that see enough papers or markers.
 
-    A sweep at other poses cannot be located; in a room without papers all are taken.
+    A sweep at other poses cannot be located; in a room without them all are taken.
     """
     axis = mount.axis_pose_map(poses_map_base)[:, :2]
-    eye = np.column_stack([axis, np.full(len(axis), mount.camera_pose_base(0.0)[1][2])])
+    eye = np.column_stack(
+        [axis, np.full(len(axis), mount.camera_pose_base(0.0, config.camera_tilt_rad)[1][2])]
+    )
     middle = poses_map_base[:, 2] + _azimuth_base(
         mount, np.array([0.5 * (config.pan_min_rad + config.pan_max_rad)])
     )
     measured = np.ones(len(eye), dtype=np.bool_)
-    if room.papers:
-        hung = np.array([paper.center[:2] for paper in room.papers]) - axis[:, None]
+    if room.anchors:
+        hung = np.array([paper.center[:2] for paper in room.anchors]) - axis[:, None]
         papers = papers_seen(eye, room, config)
         papers &= _on_arc(np.arctan2(hung[..., 1], hung[..., 0]), middle, config)
-        measured = papers.sum(axis=1) >= LEAST_PAPERS
+        measured = papers.sum(axis=1) >= least_in_view(room)
     eye = eye[measured]
     way = samples.xy - eye[:, None, :2]
     reach = np.maximum(np.linalg.norm(way, axis=-1), 1e-3)
@@ -220,7 +227,7 @@ def look(
     # wall. A part of the turn has only its part of the patches, since patches do not overlap.
     proposed = config.candidates / (2.0 * np.pi) * samples.length_m * cosine / reach * share
     proposed[cosine < np.cos(config.election.max_incidence_rad)] = 0.0
-    if room.papers:
+    if room.anchors:
         errors = pose_errors(eye, room, config.reference_area, config.focal_px, papers[measured])
     else:
         plan = np.diag(RELATIVE_SIGMA[[0, 1, 3]] ** 2)
@@ -231,20 +238,23 @@ def look(
 
 
 def papers_seen(eye: FloatArray, room: Room, config: PlanConfig) -> npt.NDArray[np.bool_]:
-    """Whether papers can be measured in panoramas from viewpoints (p, 3), (p, papers)."""
-    center = np.array([paper.center for paper in room.papers])
-    width, height = np.array([(paper.width, paper.height) for paper in room.papers]).T
+    """Whether anchors can be measured in panoramas from viewpoints (p, 3), (p, anchors)."""
+    center = np.array([paper.center for paper in room.anchors])
+    width, height = np.array([(paper.width, paper.height) for paper in room.anchors]).T
+    smallest = _MIN_PAPER_PX if room.papers else _MIN_MARKER_PX
     normal = room.normals[room.nearest_wall(center[:, :2]), :2]
     way = eye[:, None, :2] - center[:, :2]
     reach = np.maximum(np.linalg.norm(way, axis=-1), 1e-6)
     cosine = np.sum(way * normal, -1) / reach
-    rise = np.abs(center[:, 2] - eye[:, None, 2]) + 0.5 * height
+    rise = center[:, 2] - eye[:, None, 2]
+    lowest, highest = config.elevations
     across = width * cosine * config.focal_px / reach
     along = height * config.focal_px / reach
     return np.asarray(
         (cosine > np.cos(_MAX_PAPER_INCIDENCE_RAD))
-        & (rise < config.steepest * reach)
-        & (np.minimum(across, along) >= _MIN_PAPER_PX)
+        & (rise + 0.5 * height < highest * reach)
+        & (rise - 0.5 * height > lowest * reach)
+        & (np.minimum(across, along) >= smallest)
         & room.visible(eye[:, None, :2], center[:, :2])
     )
 
@@ -263,7 +273,7 @@ def band_share(
     """Share (..., s) of the textured band of heights that is in the image at a range."""
     low = min(config.texture_low_m, config.texture_high_m)
     high = np.minimum(max(config.texture_low_m, config.texture_high_m), samples.wall_height_m)
-    reach = config.steepest * range_m
-    top = np.minimum(eye_height_m + reach, high)
-    bottom = np.maximum(eye_height_m - reach, np.minimum(low, high - 0.1))
+    lowest, highest = config.elevations
+    top = np.minimum(eye_height_m + highest * range_m, high)
+    bottom = np.maximum(eye_height_m + lowest * range_m, np.minimum(low, high - 0.1))
     return np.asarray(np.clip(top - bottom, 0.0, None) / np.maximum(high - low, 0.1))

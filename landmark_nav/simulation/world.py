@@ -208,7 +208,7 @@ _ROBOT_RADIUS_M = 0.22
 
 class RobotWorld:
     """
-    A simulated robot with a turning camera.
+    A simulated robot with a turning camera, which may be tilted against its joint.
 
     `seed` is that of the noise of wheels and sensor, and of what people do. A renderer of another
     world with the same scene and camera lends its textures.
@@ -222,6 +222,7 @@ class RobotWorld:
         *,
         camera: CameraModel = DEFAULT_CAMERA,
         mount: PanTiltMount = DEFAULT_MOUNT,
+        camera_tilt_rad: float = 0.0,
         people: int = 0,
         start_ns: int = 0,
         renderer: Renderer | None = None,
@@ -231,6 +232,7 @@ class RobotWorld:
         self.scene = scene
         self.camera = camera
         self.mount = mount
+        self._camera_tilt_rad = camera_tilt_rad
         self._start_ns = start_ns
         self._steps = 0
         self._owed_s = 0.0
@@ -307,7 +309,8 @@ class RobotWorld:
     def camera_frame(self) -> CameraFrame:
         """Capture an image now."""
         pan, tilt = self.unit.angles_rad
-        turn, center = self.mount.camera_pose_map(self.true_pose, float(pan), float(tilt))
+        view_rad = float(tilt) + self._camera_tilt_rad
+        turn, center = self.mount.camera_pose_map(self.true_pose, float(pan), view_rad)
         people = [person.solid(center[:2]) for person in self._people]
         image = self.renderer.render(turn, center, people)
         sample, image = self.joint_sample(), self._effects.apply(image)

@@ -13,8 +13,8 @@ import yaml
 from landmark_nav.errors import inside, LandmarkNavError, shown
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.walls import (
-    check_marker_dictionary,
     Marker,
+    marker_count,
     Paper,
     paper_bgr,
     Room,
@@ -167,6 +167,8 @@ def _reference_area(area: Any) -> tuple[tuple[Paper, ...], tuple[Marker, ...], s
     reading.check_spelling(area, ('papers', 'markers', 'marker_dictionary'), where)
     # A reference area without markers has papers.
     known = [key for key in ('papers', 'markers') if key in area] or ['papers']
+    dictionary = reading.name_field(area, 'marker_dictionary', where, default)
+    last = marker_count(dictionary) - 1
     hung = {key: reading.list_field(area, key, where, _MAX_PAPERS) for key in known}
     papers = tuple(_paper(k, f'papers[{i}]') for i, k in enumerate(hung.get('papers', [])))
     markers = tuple(_marker(k, f'markers[{i}]') for i, k in enumerate(hung.get('markers', [])))
@@ -174,8 +176,10 @@ def _reference_area(area: Any) -> tuple[tuple[Paper, ...], tuple[Marker, ...], s
     if len({*numbers}) < len(numbers):
         twice = max(numbers, key=numbers.count)
         raise LandmarkNavError(f'{where}: marker {twice} is there twice: hang each number once')
-    dictionary = reading.name_field(area, 'marker_dictionary', where, default)
-    check_marker_dictionary(dictionary)
+    for i, number in enumerate(numbers):
+        if number > last:
+            how = f'{dictionary} has 0 to {last}: give another number, or its marker_dictionary'
+            raise LandmarkNavError(f'markers[{i}]: number is {number}: {how}')
     return papers, markers, dictionary
 
 
@@ -223,6 +227,11 @@ def read_robot(path: Path, former: Mapping[str, Any]) -> dict[str, Any]:
         text = reading.read_text(file)
         with inside(file):
             document = robot_of_urdf(text, camera_frame)
+        # Limits that mean none, as of a simulator, are left out.
+        for key in document.keys() & MOUNT_FIELDS.keys():
+            _, low, high, _ = MOUNT_FIELDS[key]
+            if not low <= document[key] <= high:
+                del document[key]
     else:
         document = reading.read_yaml_mapping(path)
     for key, value in former.items():

@@ -20,8 +20,6 @@ _TURNING = ('revolute', 'continuous')
 # Least cosine of the angle between the pan axis and a vertical line, and between the tilt axis and
 # the left of the view.
 _ALIGNED = math.cos(math.radians(20.0))
-# Range of the rate of a pan joint, radians a second.
-_LEAST_RATE, _GREATEST_RATE = 0.01, 100.0
 
 
 class _Joint(NamedTuple):
@@ -66,9 +64,16 @@ def robot_of_urdf(text: str, camera_frame: str = '') -> dict[str, Any]:
         Optical frame of the camera; by default the only one that a joint turns.
     """
     joints = _joints(text)
+    optical = [name for name in joints if _OPTICAL in name]
     if camera_frame and camera_frame not in joints:
-        raise LandmarkNavError(f'no joint holds a frame {shown(camera_frame)}')
-    frames = [camera_frame] if camera_frame else [name for name in joints if _OPTICAL in name]
+        which = f'take one of {shown(optical)}'
+        raise LandmarkNavError(f'no joint holds a frame {shown(camera_frame)}: {which}')
+    parents = {joint.parent for joint in joints.values()}
+    if joints and _BASE not in parents:
+        roots = shown(sorted(parents - joints.keys()))
+        how = f'call the base of the robot so (the first frames are {roots}), or write robot.yaml'
+        raise LandmarkNavError(f'no joint hangs on a frame {_BASE}: {how}')
+    frames = [camera_frame] if camera_frame else optical
     chains = {name: _chain(joints, name) for name in frames}
     # A camera on a lift or gripper is another one, unless it is named.
     chains = {
@@ -95,14 +100,20 @@ def robot_of_urdf(text: str, camera_frame: str = '') -> dict[str, Any]:
     yaw = math.atan2(camera[1, 0], camera[0, 0])
     tilt = math.asin(min(max(float(camera[2, 0]), -1.0), 1.0))
     roll = math.atan2(camera[2, 1], camera[2, 2])
+    if abs(tilt) > math.pi / 4.0:
+        (frame,) = chains
+        how = 'give a frame with z along the view, x to the right'
+        raise LandmarkNavError(f'{shown(frame)} looks {math.degrees(tilt):+.0f} deg up: {how}')
     for other in others:
         between = chain[number + 1 : chain.index(other) + 1]
         left = rot_z(-yaw) @ of_axis.T @ _along(between)[1] @ other.axis
         if len(others) > 1 or abs(left[1]) < _ALIGNED:
             raise LandmarkNavError(f'{other.name} moves the camera too: neither pan nor tilt')
         if left[1] > 0.0:
+            # Both axes of a unit that hangs upside down are turned over.
+            way = f'downwards, as {pan.name} points down' if upright[2, 2] < 0.0 else 'upwards'
             raise LandmarkNavError(
-                f'{other.name}: its angles have to be positive upwards: turn its axis, and what '
+                f'{other.name}: its angles have to be positive {way}: turn its axis, and what '
                 'drives it, round; if it never moves, make it fixed'
             )
     if others:
@@ -121,11 +132,10 @@ def robot_of_urdf(text: str, camera_frame: str = '') -> dict[str, Any]:
     }
     if others:
         document['tilt_joint'] = others[0].name
-    # Limits that mean none, as of a simulator, are left out.
     low, high, rate = map(pan.limit, ('lower', 'upper', 'velocity'))
     if pan.kind == 'revolute' and -math.tau <= low < high <= math.tau:
         document |= {'pan_min': low, 'pan_max': high}
-    if _LEAST_RATE <= rate <= _GREATEST_RATE:
+    if rate:
         document['pan_rate'] = rate
     return document
 

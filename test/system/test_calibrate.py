@@ -7,6 +7,7 @@ from drive_faults import write_bag
 from harness import BAGS
 import numpy as np
 import pytest
+from unmeasured import with_odometry
 
 from landmark_nav.calibration import NAMES
 from landmark_nav.cli.main import main
@@ -117,3 +118,23 @@ def test_what_a_robot_that_stands_does_not_show_stays_as_given(recorded, tmp_pat
     report = json.loads((tmp_path / 'c.json').read_text())
     named = {name for item in report['unobserved'] for name in item['quantities']}
     assert {'axis_x', 'axis_yaw'} <= named
+
+
+def test_sweeps_and_a_drive_need_no_plan(tmp_path):
+    """The frame and the scale are those of odometry; the mount is found all the same."""
+    sweeps = str(with_odometry(BAGS / 'learn', tmp_path / 'sweeps', 1.0))
+    text = (BAGS / 'robot.yaml').read_text()
+    (tmp_path / 'right.yaml').write_text(
+        ''.join(k for k in text.splitlines(True) if 'sigma:' not in k)
+    )
+    right = load_calibration(tmp_path / 'right.yaml')
+    given = right.with_values(axis_yaw=right['axis_yaw'][0] + OFF['axis_yaw'])
+    save_calibration(given, tmp_path / 'given.yaml')
+    words = ['--robot', str(tmp_path / 'given.yaml'), '--out', str(tmp_path / 'better.yaml')]
+    assert main(['calibrate', sweeps, DRIVE, *words]) == 0
+    found = load_calibration(tmp_path / 'better.yaml')
+    for name in ('axis_yaw', 'axis_x', 'center_x', 'camera_roll'):
+        assert abs(found[name][0] - right[name][0]) < 4.0 * found[name][1], name
+        assert found[name][1] < 0.5 * given[name][1], name
+    # Each bag of sweeps has a frame of its own.
+    assert main(['calibrate', sweeps, sweeps, *words, '--overwrite']) == 1

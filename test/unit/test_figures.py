@@ -1,5 +1,6 @@
 """Figures: maps, panoramas and runs, and those of the paper from recorded data."""
 
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -10,12 +11,13 @@ import pytest
 from scenes import rectangle_room
 
 from landmark_nav.cli.main import main
-from landmark_nav.evaluation.figures import draw_errors, draw_trajectory
+from landmark_nav.evaluation.figures import draw_errors, draw_map, draw_trajectory
 from landmark_nav.evaluation.figures.stereo_figure import ray_sigma_m
 from landmark_nav.evaluation.metrics import PoseTrack
 from landmark_nav.evaluation.replay import Replay
 from landmark_nav.evaluation.run_report import run_errors
 from landmark_nav.geometry.cylinder import Cylinder
+from landmark_nav.geometry.walls import Marker, Paper, Room
 from landmark_nav.learning.attention.maps import AttentionConfig
 from landmark_nav.localization.localizer import LocalizationUpdate
 from landmark_nav.localization.observer import Observation
@@ -124,6 +126,19 @@ def test_all_figures_come_from_a_bag(tmp_path, capsys):
         (path,) = tmp_path.glob(f'figure_{number}_*.png')
         assert cv2.imread(str(path)).std() > 5.0
         assert f'Figure {number}' in reported
+
+
+@pytest.mark.parametrize('kind', ['papers', 'markers'])
+def test_maps_and_pages_show_what_gives_poses(tmp_path, kind):
+    center = (2.0, 0.0, 1.4)
+    hung = {'papers': (Paper('magenta', center, 0.2, 0.3),), 'markers': (Marker(3, center, 0.1),)}
+    room = replace(Room(WALLS), **{kind: hung[kind]})
+    color = {'papers': room.anchors[0].bgr, 'markers': (0.0, 0.0, 0.0)}[kind]
+    shares = []
+    for name, anchors in (('none', ()), ('some', room.anchors)):
+        draw_map(a_map(), tmp_path / f'{name}.png', anchors)
+        shares.append(share_of(tmp_path / f'{name}.png', color))
+    assert shares[1] > shares[0]
 
 
 def test_a_map_gives_its_observation_areas(tmp_path, capsys):

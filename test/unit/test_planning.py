@@ -13,7 +13,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.cylinder import Cylinder
-from landmark_nav.geometry.walls import Paper, Room
+from landmark_nav.geometry.walls import Marker, Paper, Room
 from landmark_nav.learning.adjustment.problem import AdjustmentConfig
 from landmark_nav.learning.adjustment.solution import adjust
 from landmark_nav.learning.reference_area.common_errors import (
@@ -109,6 +109,34 @@ class TestPlan:
         assert np.linalg.norm(places[1, :2] - places[0, :2]) > 0.5
         assert np.isfinite(free.best.sigma_m).all()
         assert free.best.cost_m < np.median([other.cost_m for other in free.random])
+
+    def test_markers_serve_where_there_are_no_papers(self):
+        hung = [(1.5, 0.0, 1.3), (5.0, 1.5, 1.0), (2.4, 4.0, 1.2), (0.0, 2.4, 1.0)]
+        markers = tuple(Marker(k, center, 0.16) for k, center in enumerate(hung))
+        marked = replace(rectangle_room(5.0, 4.0), markers=markers)
+        found = plan_positions(marked, MOUNT, 2, CONFIG, np.random.default_rng(1)).best
+        assert np.isfinite(found.sigma_m).all()
+        # What hangs all around gives poses; sigmas are those of its errors.
+        small = tuple(replace(marker, size=0.02) for marker in markers)
+        with pytest.raises(LandmarkNavError, match='see 2 of 4 markers whole'):
+            plan_positions(
+                replace(marked, markers=small), MOUNT, 2, CONFIG, np.random.default_rng(1)
+            )
+        with pytest.raises(LandmarkNavError, match='names 1 reference markers: list 2'):
+            plan_positions(
+                replace(marked, markers=markers[:1]), MOUNT, 2, CONFIG, np.random.default_rng(1)
+            )
+
+    @pytest.mark.parametrize('tilt_rad', [-0.3, 0.3])
+    def test_a_tilted_camera_sees_other_heights(self, plan, tilt_rad):
+        poses, cells = plan.best.poses_map_base, plan.best.floor_xy[::5]
+        low = replace(CONFIG, texture_low_m=0.1, texture_high_m=0.8)
+        (level,), (tilted,) = (
+            forecast([poses], cells, rectangle_room(5.0, 4.0), MOUNT, config)
+            for config in (low, replace(low, camera_tilt_rad=tilt_rad))
+        )
+        more = tilted.landmarks.sum() > level.landmarks.sum()
+        assert more == (tilt_rad < 0.0)
 
     def test_blank_walls_above_the_image_give_nothing(self, plan):
         config = replace(CONFIG, texture_low_m=3.9, texture_high_m=4.0)

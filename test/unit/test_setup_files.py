@@ -108,6 +108,11 @@ def test_robot_as_written_and_defaults(tmp_path):
                 ('center: [1, 0, 1], size: 0.1', 'number: 1, center: [1, 0, 2]', 'there twice'),
                 (
                     'center: [1, 0, 1], size: 0.1',
+                    'number: 50, center: [1, 0, 2]',
+                    r'markers\[1\]: number is 50: DICT_4X4_50 has 0 to 49: give another',
+                ),
+                (
+                    'center: [1, 0, 1], size: 0.1',
                     'number: 2, center: [1, 1, 1]',
                     'number 2. is 20 cm',
                 ),

@@ -1,6 +1,7 @@
 """Sheets of a known size: where panoramas show them, and the scale that they give."""
 
 import colorsys
+import contextlib
 from dataclasses import replace
 from itertools import combinations
 
@@ -15,7 +16,7 @@ from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.geometry.se2 import rot_z
-from landmark_nav.geometry.walls import Marker, NAMED_HUES_DEG, paper_bgr
+from landmark_nav.geometry.walls import Marker, marker_count, NAMED_HUES_DEG, paper_bgr
 from landmark_nav.learning.panorama.synthesis import CylinderImage
 from landmark_nav.learning.reference_area.blobs import ColorSearch, hue_direction
 from landmark_nav.learning.reference_area.edges import locate_edges, PROFILES
@@ -90,14 +91,20 @@ def marker_sheet(number):
     return np.asarray(sheet)
 
 
-def marked(room, markers, pose, height_m):
-    """Panorama of a grey room with markers on its walls, seen from a pose (3,) at a height."""
+def marked(room, markers, pose, height_m, turns=(0,) * 5):
+    """
+    Panorama of a grey room with markers on its walls, seen from a pose (3,) at a height.
+
+    They hang turned to the left by `turns` right angles.
+    """
     images = []
-    for marker in markers:
+    for marker, turn in zip(markers, turns, strict=False):
         seen = (np.array(marker.center) - [*pose[:2], height_m]) @ rot_z(pose[2])
         normal = room.normals[room.nearest_wall(np.array(marker.center[:2]))]
         turned = np.arctan2(normal[1], normal[0]) - pose[2] - np.arctan2(-seen[1], -seen[0])
-        images.append(with_sheet(marker_sheet(marker.number), (0.2, 0.2), seen, turned))
+        images.append(
+            with_sheet(np.rot90(marker_sheet(marker.number), turn), (0.2, 0.2), seen, turned)
+        )
     image = images[0]
     for other in images[1:]:
         image = np.where(other != 150, other, image)
@@ -143,6 +150,33 @@ def test_a_number_that_is_there_twice_is_not_used():
     view = marked(room, twins, (2.4, 2.1, 0.3), 1.1)
     with pytest.raises(LandmarkNavError, match='1 of the 2 markers'):
         fit_markers(view, 1.1, room, PanTiltMount(), ReferenceAreaConfig())
+
+
+@pytest.mark.parametrize(
+    ('turns', 'named'),
+    [
+        ([1, 0, 0, 0, 0], '0 by 90 deg to the left: '),
+        ([0, 0, 2, 3, 0], '2 by 180.*3 by 90 .*right'),
+    ],
+)
+def test_markers_that_hang_turned_are_named(turns, named):
+    room = replace(rectangle_room(6.0, 5.0), markers=MARKERS)
+    view = marked(room, MARKERS, (2.4, 2.1, 0.3), 1.1, turns)
+    with pytest.raises(LandmarkNavError, match=f'marker {named}') as error:
+        fit_markers(view, 1.1, room, PanTiltMount(), ReferenceAreaConfig())
+    assert len(str(error.value)) < 200
+
+
+@pytest.mark.skipif(not hasattr(cv2, 'aruco'), reason='this OpenCV has no dictionaries')
+def test_numbers_of_a_dictionary_are_those_of_opencv():
+    names = [name for name in dir(cv2.aruco) if name.startswith('DICT_')]
+    known = 0
+    for name in names:
+        markers = cv2.aruco.getPredefinedDictionary(getattr(cv2.aruco, name))
+        with contextlib.suppress(LandmarkNavError):
+            assert marker_count(name) == len(markers.bytesList)
+            known += 1
+    assert known >= 20
 
 
 @pytest.mark.parametrize(('slant_rad', 'azimuth'), [(0.2, 0.4), (-0.7, 3.13)])

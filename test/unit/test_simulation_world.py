@@ -10,6 +10,7 @@ import pytest
 from landmark_nav.cli.main import main
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.messages import decode
+from landmark_nav.messages.encode import camera_transform, joint_transforms
 from landmark_nav.messages.factory import rosbag_factory
 from landmark_nav.simulation.drive_path import PathFollower, plan_tour, plan_way
 from landmark_nav.simulation.furnishing import generate_scene
@@ -26,6 +27,7 @@ from landmark_nav.simulation.world import (
 )
 from landmark_nav.storage.bags import Bag, BagWriter, read_sweeps
 from landmark_nav.storage.setup_files import load_camera, load_robot, load_room
+from landmark_nav.types import JointSample
 
 SCENE = generate_scene(11)
 POSE = choose_sweep_places(SCENE).poses[0]
@@ -182,3 +184,22 @@ class TestDrivePath:
         way = plan_way(self.scene, (3.5, 2.5), (5.5, 3.5))
         assert way[0] == pytest.approx([3.5, 2.5], abs=0.1)
         assert way[-1] == pytest.approx([5.5, 3.5], abs=0.1)
+
+
+def test_a_camera_that_is_tilted_against_its_joint(world):
+    """It shows what a level one shows with its joint tilted, and so say the transforms."""
+    tilt_rad = 0.2
+
+    def image(tilted, joint_rad):
+        tilted.place(POSE, 0.3, joint_rad)
+        return tilted.camera_frame().image.astype(float)
+
+    options = {'camera': CAMERA, 'mount': MOUNT, 'renderer': world.renderer}
+    fixed = image(RobotWorld(SCENE, POSE, 3, camera_tilt_rad=tilt_rad, **options), 0.0)
+    by_joint, level = (image(RobotWorld(SCENE, POSE, 3, **options), t) for t in (tilt_rad, 0.0))
+    assert np.abs(fixed - by_joint).mean() < 0.1 * np.abs(fixed - level).mean()
+    joint = JointSample(0, 0.0, tilt_rad)
+    *_, turned = joint_transforms(MOUNT, joint)
+    tilted, straight = (camera_transform(MOUNT, 'camera', t) for t in (tilt_rad, 0.0))
+    assert tilted.rotation == pytest.approx(turned.rotation @ straight.rotation)
+    assert tilted.translation == pytest.approx(turned.rotation @ straight.translation)

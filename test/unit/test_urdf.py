@@ -182,3 +182,40 @@ def test_bad_files(tmp_path, text):
     assert 'r.urdf' in line
     assert '\n' not in line
     assert len(line.replace(str(tmp_path), '')) < 200
+
+
+def test_a_unit_that_hangs_tilts_too(tmp_path):
+    """With both axes turned over, the camera is where the chain of joints puts it."""
+    text = robot(
+        joint(
+            'p', 'base_link', 'pan_link', '0 0 1', '0 0 0', 'revolute', PAN.replace('1"', '-1"', 1)
+        ),
+        joint(
+            't', 'pan_link', 'tilt_link', '0 0 0', '0 0 0', 'revolute', TILT.replace('-1', '1', 1)
+        ),
+        joint('o', 'tilt_link', 'camera_optical_frame', '0.03 0.01 0.02', OPTICAL),
+    )
+    known = read(tmp_path / 'r.urdf', text)
+    rotation, center = known.mount.camera_pose_base(0.5, 0.3 + known['camera_tilt'][0])
+    turn = rot_z(-0.5) @ rot_y(0.3)
+    assert rotation == pytest.approx(turn @ BODY_FROM_OPTICAL, abs=1e-9)
+    assert center == pytest.approx(turn @ [0.03, 0.01, 0.02] + [0.0, 0.0, 1.0], abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ('text', 'frame', 'message'),
+    [
+        (robot(*USUAL), 'head', 'head.*: take one of .*camera_optical_frame'),
+        (robot(*USUAL), 'camera_link', "camera_link' looks .*z along the view"),
+        (robot(*USUAL).replace('base_link', 'chassis'), '', 'no .*base_link: .*base_footprint'),
+        (
+            robot(*USUAL).replace('"0 0 1"', '"0 0 -1"'),
+            '',
+            'tilt_joint: .*downwards, as pan_joint',
+        ),
+    ],
+)
+def test_what_to_do_is_named(tmp_path, text, frame, message):
+    with pytest.raises(LandmarkNavError, match=message) as error:
+        read(tmp_path / 'r.urdf', text, frame)
+    assert len(str(error.value).replace(str(tmp_path), '')) < 200

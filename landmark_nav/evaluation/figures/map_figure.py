@@ -17,7 +17,7 @@ import numpy.typing as npt
 from landmark_nav.evaluation.figures import style
 from landmark_nav.evaluation.figures.style import caption, mark, show, Strip, widest
 from landmark_nav.geometry.patches import observed_well
-from landmark_nav.geometry.walls import Paper, Room
+from landmark_nav.geometry.walls import Marker, Paper, Room
 from landmark_nav.learning.pipeline import LearningResult
 from landmark_nav.localization.triplet.visibility import TripletConfig
 from landmark_nav.planning.planner import Plan
@@ -32,7 +32,7 @@ _MARGIN_M = 0.4
 _WALL_IN, _DIGIT_IN, _ROW_IN = 0.16, 0.08, 0.105
 
 
-def draw_map(landmarks: LandmarkMap, path: Path, papers: Iterable[Paper] = ()) -> None:
+def draw_map(landmarks: LandmarkMap, path: Path, papers: Iterable[Paper | Marker] = ()) -> None:
     """Draw a map."""
     figure = style.new_figure(9.0, 6.6)
     axes = figure.add_subplot()
@@ -58,8 +58,10 @@ def draw_map(landmarks: LandmarkMap, path: Path, papers: Iterable[Paper] = ()) -
     ]
     drawn = list(papers)
     style.draw_papers(axes, drawn)
-    if drawn:
+    if any(isinstance(paper, Paper) for paper in drawn):
         handles.append(style.key('#888888', 's', 'paper, in its colour'))
+    elif drawn:
+        handles.append(style.key('black', 's', 'marker'))
     style.legend_beside(axes, 'below', (len(handles) + 1) // 2, handles)
     number_landmarks(figure, axes, landmarks, _MAGNIFIED)
     style.save(figure, path)
@@ -191,7 +193,7 @@ def _draw_area(axes: Axes, landmark: Landmark, room: Room) -> None:
 def _draw_places(axes: Axes, landmarks: LandmarkMap, room: Room) -> None:
     style.draw_walls(axes, room.walls, _margin_m(room))
     axes.set_anchor('NE')
-    style.draw_papers(axes, room.papers)
+    style.draw_papers(axes, room.anchors)
     axes.plot(*landmarks.positions[:, :2].T, '.', color=style.LANDMARK, markersize=6, zorder=4)
     style.draw_sweep_places(axes, [place.pose[:2] for place in landmarks.panorama_poses])
     counts = Counter(k.wall_id for k in landmarks.landmarks)
@@ -272,7 +274,7 @@ def _draw_plan(
     axes: Axes, result: LearningResult, room: Room, shown: npt.NDArray[np.bool_]
 ) -> None:
     style.draw_walls(axes, room.walls, _MARGIN_M)
-    style.draw_papers(axes, room.papers)
+    style.draw_papers(axes, room.anchors)
     landmarks = result.map
     axes.plot(*landmarks.positions[~shown, :2].T, '.', color=style.LANDMARK, alpha=0.35, zorder=4)
     style.draw_sweep_places(axes, [panorama.center_map[:2] for panorama in result.panoramas])
@@ -297,7 +299,7 @@ def draw_plan(plan: Plan, room: Room, path: Path) -> None:
     axes = figure.add_subplot()
     _draw_accuracy(axes, plan.accuracy_map)
     style.draw_walls(axes, room.walls, _PLAN_MARGIN_M)
-    style.draw_papers(axes, room.papers)
+    style.draw_papers(axes, room.anchors)
     style.draw_sweep_places(axes, plan.best.poses_map_base, 'place')
     middle = plan.random[len(plan.random) // 2]
     text = f'proposed: {1e3 * plan.best.cost_m:.2f} mm in the mean over the floor'

@@ -21,7 +21,7 @@ from landmark_nav.evaluation.figures.style import (
     Strip,
     widest,
 )
-from landmark_nav.geometry.walls import Paper, Room
+from landmark_nav.geometry.walls import Marker, Paper, Room
 from landmark_nav.image_codec import encode_image
 from landmark_nav.learning.attention.maps import (
     attention_maps,
@@ -95,7 +95,7 @@ def draw_sweeps(
     for k, axes in enumerate(np.ravel(figure.subplots(len(panoramas), 1))):
         name = _NAMES[k] if len(panoramas) <= 2 else f'{k + 1}'
         _draw_panorama_part(axes, panoramas[k], room, f'{name}: {_place(panoramas[k])}')
-    text = _text(sweeps[0], panoramas[0], room.papers)
+    text = _text(sweeps[0], panoramas[0], room.anchors)
     caption(figure, text, 14.0)
     save(figure, path)
     return text
@@ -114,21 +114,21 @@ def _name_papers(axes: Axes, panorama: Panorama, room: Room) -> None:
     """Label each paper above it, or below if there is no room, at alternating distances."""
     height = panorama.mask.shape[0]
     seen = []
-    for paper in room.papers:
+    for paper in room.anchors:
         away = np.asarray(paper.center) - panorama.center_map
         distance = float(np.hypot(away[0], away[1]))
         azimuth = np.arctan2(away[1], away[0]) - panorama.heading_rad
         row = float(panorama.cylinder.row_of(away[2] / distance))
         half = 0.5 * paper.height * panorama.cylinder.fy / distance
         if half < row < height - half:
-            seen.append((float(panorama.cylinder.column_of(azimuth)), row, half, paper.color))
-    for k, (column, row, half, color) in enumerate(sorted(seen)):
+            seen.append((float(panorama.cylinder.column_of(azimuth)), row, half, paper.name))
+    for k, (column, row, half, name) in enumerate(sorted(seen)):
         way = -1.0 if row - half > _NAMES_PX else 1.0
         offset = (0.0, -way * _LINE_PT * (1.2 + k % 2))
         at = (column, row + way * (half + 3.0))
         box = {'boxstyle': 'round,pad=0.15', 'facecolor': 'white', 'linewidth': 0.0}
         axes.annotate(
-            f'{color} paper', at, offset, textcoords='offset points', ha='center', va='center',
+            name, at, offset, textcoords='offset points', ha='center', va='center',
             fontsize=12, arrowprops={'arrowstyle': '->'}, bbox=box,
         )  # fmt: skip
 
@@ -143,10 +143,11 @@ def _place(panorama: Panorama) -> str:
     )
 
 
-def _text(sweep: Sweep, panorama: Panorama, papers: Sequence[Paper]) -> str:
+def _text(sweep: Sweep, panorama: Panorama, papers: Sequence[Paper | Marker]) -> str:
     poses = 'What they share gives their poses to each other.'
     if papers:
-        poses = 'The papers of the reference area give the position of the camera.'
+        kind = 'papers' if isinstance(papers[0], Paper) else 'markers'
+        poses = f'The {kind} of the reference area give the position of the camera.'
     camera, cylinder = sweep.frames[0].camera, panorama.cylinder
     step = float(np.median(np.diff(np.sort([frame.pan_rad for frame in sweep.frames]))))
     return (

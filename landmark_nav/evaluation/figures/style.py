@@ -19,7 +19,7 @@ from matplotlib.patheffects import withStroke
 import numpy as np
 import numpy.typing as npt
 
-from landmark_nav.geometry.walls import Paper, paper_bgr, Wall
+from landmark_nav.geometry.walls import Marker, Paper, Wall
 from landmark_nav.storage.atomic_io import write_atomically
 from landmark_nav.types import Candidate, FloatArray, Panorama
 
@@ -99,10 +99,10 @@ def draw_walls(axes: Axes, walls: Iterable[Wall], margin_m: float) -> None:
         axes.set_ylim(bottom, top)
 
 
-def draw_papers(axes: Axes, papers: Iterable[Paper]) -> None:
-    """Draw reference papers as squares of their colour."""
+def draw_papers(axes: Axes, papers: Iterable[Paper | Marker]) -> None:
+    """Draw reference papers and markers as squares of their colour."""
     for paper in papers:
-        blue, green, red = (part / 255.0 for part in paper_bgr(paper.color))
+        blue, green, red = (part / 255.0 for part in paper.bgr)
         axes.plot(*paper.center[:2], 's', color=(red, green, blue), markersize=7, zorder=5)
 
 

@@ -24,7 +24,7 @@ from landmark_nav.evaluation.metrics import pose_errors
 from landmark_nav.evaluation.replay import Replay
 from landmark_nav.evaluation.report import tables
 from landmark_nav.evaluation.run_report import errors_by_axis, path_of, RunErrors, Smoothed
-from landmark_nav.geometry.walls import Paper, paper_bgr
+from landmark_nav.geometry.walls import Marker, Paper
 from landmark_nav.image_codec import encode_image
 from landmark_nav.learning.pipeline import LearningResult
 from landmark_nav.localization.localizer import LocalizationUpdate
@@ -104,7 +104,7 @@ def drive_page(
     calibration: Calibration,
     strip: FrameStrip,
     smoothed: Smoothed | None = None,
-    papers: Iterable[Paper] = (),
+    papers: Iterable[Paper | Marker] = (),
 ) -> Page:
     """
     Page of a drive: `report` is that of `run_report`, with ``spells``.
@@ -137,7 +137,7 @@ def _page(
 
 
 def learning_page(
-    report: Mapping[str, Any], result: LearningResult, papers: Iterable[Paper] = ()
+    report: Mapping[str, Any], result: LearningResult, papers: Iterable[Paper | Marker] = ()
 ) -> Page:
     """Page of a learned map; `report` is that of `learning_report`."""
     verdict = tables.learning_verdict(report, result.warning)
@@ -176,7 +176,7 @@ def _ellipse(covariance: FloatArray) -> Any:
 
 def _map(
     landmarks: LandmarkMap,
-    papers: Iterable[Paper],
+    papers: Iterable[Paper | Marker],
     found: Mapping[int, int] | None = None,
     expected: Mapping[int, int] | None = None,
 ) -> dict[str, Any]:
@@ -184,7 +184,7 @@ def _map(
     return {
         'walls': [{'id': w.id, 'ends': _numbers([w.start, w.end], 4)} for w in landmarks.walls],
         'papers': [
-            {'rgb': [round(c) for c in paper_bgr(p.color)[::-1]], 'at': _numbers(p.center[:2], 4)}
+            {'rgb': [round(c) for c in p.bgr[::-1]], 'at': _numbers(p.center[:2], 4)}
             for p in papers
         ],
         'landmarks': [

@@ -8,13 +8,12 @@ The measurements are the four edges of each paper, as in `fit`, with the same un
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
 
 import numpy as np
 from scipy.linalg import eigh
 
 from landmark_nav.arrays import BoolArray
-from landmark_nav.geometry.walls import Paper, Room
+from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.least_squares import covariance_of, root_of, solve_root
 from landmark_nav.learning.reference_area.markers import LEAST_MARKERS
 from landmark_nav.learning.reference_area.model import (
@@ -37,6 +36,11 @@ _X_Y_HEADING = [0, 1, 3]  # of x, y, z, heading
 _PLAN = np.ix_(_X_Y_HEADING, _X_Y_HEADING)
 
 
+def least_in_view(room: Room) -> int:
+    """Fewest papers or markers that give the pose of a sweep; 0 if there are none."""
+    return LEAST_PAPERS if room.papers else LEAST_MARKERS if room.markers else 0
+
+
 def pose_errors(
     eye: FloatArray,
     room: Room,
@@ -45,14 +49,14 @@ def pose_errors(
     seen: BoolArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """
-    Covariance of viewpoints measured from papers, and loadings of the part that they share.
+    Covariance of viewpoints measured from papers or markers, and loadings of what they share.
 
     Parameters
     ----------
     eye : ndarray, shape (p, 3)
         Viewpoints, m.
     seen : ndarray of bool, shape (p, k), optional
-        Papers in view, three or more; by default all.
+        Those in view, `least_in_view` or more; by default all.
 
     Returns
     -------
@@ -62,7 +66,8 @@ def pose_errors(
         Loadings of factors with unit variance that all viewpoints share: the size of the papers,
         and the errors of each along its wall and upwards.
     """
-    places = PaperPlaces.of(room)
+    sizes = [(sheet.width, sheet.height) for sheet in room.anchors]
+    places = PaperPlaces.hung(room, [sheet.center for sheet in room.anchors], sizes)
     papers = len(places.center)
 
     def outlines(states: FloatArray) -> FloatArray:
@@ -100,9 +105,6 @@ def joint_covariance(
     everywhere: the largest possible part of its error is common. Without these they share their
     height only.
     """
-    if not room.papers:
-        sheets = (Paper('marker', m.center, m.size, m.size) for m in room.markers)
-        room = replace(room, papers=tuple(sheets))
     alone = [p.covariance + 1e-12 * np.eye(4) for p in panoramas]
     loading = [_loading(p, c, room, config) for p, c in zip(panoramas, alone, strict=True)]
     rest = [c - part @ part.T for c, part in zip(alone, loading, strict=True)]
@@ -142,9 +144,9 @@ def _by_papers(
     panorama: Panorama, covariance: FloatArray, room: Room, config: ReferenceAreaConfig
 ) -> FloatArray:
     """How papers that hang elsewhere move a panorama, (4, 1 + 2 k)."""
-    loading = np.zeros((4, 1 + 2 * len(room.papers)))
-    least = LEAST_MARKERS if room.markers else LEAST_PAPERS
-    if len(room.papers) < least:
+    loading = np.zeros((4, 1 + 2 * len(room.anchors)))
+    least = least_in_view(room)
+    if not room.anchors or len(room.anchors) < least:
         return loading
     eye = panorama.center_map[None]
     seen = papers_in_view(eye[:, :2], room)

@@ -46,7 +46,7 @@ def fit_markers(
 
     `height_m` is the given height of the viewpoint.
 
-    Raises `LandmarkNavError`: fewer than two of them are in view.
+    Raises `LandmarkNavError`: fewer than two of them are in view, or some hang turned.
     """
     found = marker_corners(view.image, view.cylinder, room.marker_dictionary)
     numbers = [number for number, _ in found]
@@ -66,6 +66,7 @@ def fit_markers(
             f'{len(seen)} of the {len(room.markers)} markers of the room file are in view, of '
             f'{room.marker_dictionary}: {LEAST_MARKERS} are needed; see that they hang in view'
         )
+    _check_upright([marker.name for marker in seen], np.array(rays))
     places = PaperPlaces.hung(
         room, [marker.center for marker in seen], [[marker.size] * 2 for marker in seen]
     )
@@ -114,6 +115,25 @@ def fit_markers(
         misfit,
     )
     return fit, [f'marker {marker.number}' for marker in seen]
+
+
+def _check_upright(names: list[str], rays: FloatArray) -> None:
+    """Raise `LandmarkNavError` if corners (k, 4, 3) are nearer to those of turned markers."""
+    corners = _angles(rays)
+    off = corners - corners[:, :1]
+    off[..., 0] = wrap_rad(off[..., 0])
+    off -= off.mean(axis=1, keepdims=True)
+    by_turn = [np.sum(off * np.roll(CORNERS, turn, axis=0), axis=(1, 2)) for turn in range(4)]
+    turns = np.argmax(by_turn, axis=0)
+    if turns.any():
+        words = ['', '90 deg to the left', '180 deg', '90 deg to the right']
+        turned = [
+            f'{name} by {words[turn]}' for name, turn in zip(names, turns, strict=True) if turn
+        ]
+        raise LandmarkNavError(
+            f'turned in their plane: {", ".join(turned[:4])}: hang them upright, or set '
+            'camera_roll in robot.yaml if the camera is'
+        )
 
 
 def _angles(rays: FloatArray) -> FloatArray:

@@ -57,8 +57,8 @@ class PaperPlace:
 
 
 def papers_in_view(axis_xy: FloatArray, room: Room) -> BoolArray:
-    """Whether papers face positions (..., 2) and no wall is between, (..., papers)."""
-    center = np.array([paper.center[:2] for paper in room.papers])
+    """Whether anchors face positions (..., 2) and no wall is between, (..., anchors)."""
+    center = np.array([paper.center[:2] for paper in room.anchors])
     way = axis_xy[..., None, :] - center
     facing = np.sum(way * room.normals[room.nearest_wall(center), :2], -1)
     seen = room.visible(axis_xy[..., None, :], np.broadcast_to(center, way.shape))

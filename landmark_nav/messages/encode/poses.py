@@ -155,12 +155,16 @@ def joint_transforms(mount: PanTiltMount, joints: JointSample) -> Iterator[Trans
     yield Transform(pan_link, tilt_link, rot_y(-joints.tilt_rad), np.zeros(3))
 
 
-def camera_transform(mount: PanTiltMount, optical_frame: str) -> Transform:
-    """Static transform of the camera on the tilt link."""
-    rotation_base, _ = mount.camera_pose_base(0.0)
-    rotation = rotation_rpy(mount.axis_rpy).T @ rotation_base
+def camera_transform(
+    mount: PanTiltMount, optical_frame: str, camera_tilt_rad: float = 0.0
+) -> Transform:
+    """Static transform of the camera, tilted against its joint, on the tilt link."""
+    rotation, center = mount.camera_pose_base(0.0, camera_tilt_rad)
+    to_axis = rotation_rpy(mount.axis_rpy).T
     _, tilt_link = _links(mount)
-    return Transform(tilt_link, optical_frame, rotation, np.array(mount.optical_center_offset))
+    return Transform(
+        tilt_link, optical_frame, to_axis @ rotation, to_axis @ (center - mount.axis_xyz)
+    )
 
 
 def transforms(factory: MessageFactory, stamp_ns: int, of: Iterable[Transform]) -> Any:
