@@ -81,13 +81,14 @@ def check_twist(stream: Stream) -> list[Finding]:
             continue
         size = float(np.abs(pose).sum() / max(np.abs(twist).sum(), 1e-9))
         both = float(pose @ twist)
-        ratio = -size if both < 0.0 else size
+        opposite = both < -_AGREES * float(np.sqrt((pose @ pose) * (twist @ twist)))
+        ratio = -size if opposite else size
         level: Level = 'warning'
         # With noise in both, the ratio lies between their regressions on each other.
         low, high = both / max(float(twist @ twist), 1e-12), float(pose @ pose) / max(both, 1e-12)
         if both > 0.0 and low < _ALIKE and high > 1.0 / _ALIKE:
             level, advice = 'ok', ''
-        elif ratio < 0.0:
+        elif opposite:
             advice = 'pose and twist have opposite signs: publish both by REP-103'
         elif size < 1e-3:
             advice = 'the pose stands while the twist moves: publish the integrated pose'
@@ -95,7 +96,7 @@ def check_twist(stream: Stream) -> list[Finding]:
             which = 'pose' if size > 1.0 else 'twist'
             advice = f'the {which} looks like {unit}: publish metres and radians'
         else:
-            advice = 'pose and twist contradict each other: look at the scale of both'
+            advice = 'pose and twist contradict each other: look at scale and frame (child_frame_id)'
         text = f'pose {verb} {ratio:.3g} times its twist'
         found.append(Finding(f'odom twist, {name}', level, text, advice, {'ratio': ratio}))
     return found

@@ -72,7 +72,7 @@ def check_stamps(stream: Stream) -> list[Finding]:
         kind = f'{name} values', level, text, stream.why, values
         found.append(Finding(*kind, when_read=True))
     if n < 2:
-        return [*found, Finding(f'{name} rate', 'warning', f'{n} messages', 'record more')]
+        return found or [Finding(f'{name} rate', 'warning', f'{n} messages', 'record more')]
     if zeros := stream.unstamped:
         text = f'{"all" if zeros == n else f"{zeros} of {n}"} stamps are 0: the time of recording '
         advice = f'{need.what} must stamp {name} (header.stamp)'
