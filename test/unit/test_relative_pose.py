@@ -24,7 +24,7 @@ from landmark_nav.learning.relative_pose.placing import placed
 from landmark_nav.learning.relative_pose.poses import relative_poses
 from landmark_nav.learning.relative_pose.rigid_sets import rigid_set
 from landmark_nav.learning.relative_pose.sheet_tracks import Length
-from landmark_nav.learning.relative_pose.two_views import two_views_of, TwoViews
+from landmark_nav.learning.relative_pose.two_views import two_views_of
 from landmark_nav.types import PlaceChain
 
 CONFIG = RelativePoseConfig()
@@ -293,36 +293,3 @@ def test_features_are_where_they_are_seen():
     turned = np.arctan2(found[nearest, 1], found[nearest, 0])
     turned -= np.arctan2(cylinder.rays(middles)[:, 1], cylinder.rays(middles)[:, 0])
     assert np.abs(np.mean(300.0 * wrap_rad(turned[seen]))) < 0.05
-
-
-def views_of(poses, pairs, rng, noise_rad=0.0):
-    """Relative poses of pairs of sweeps."""
-    found = {}
-    for i, j in pairs:
-        way = poses[j, :2] - poses[i, :2]
-        direction = np.arctan2(way[1], way[0]) - poses[i, 2]
-        off = rng.normal(0.0, noise_rad, 2)
-        heading = wrap_rad(poses[j, 2] - poses[i, 2] + off[0])
-        found[i, j] = TwoViews(heading, wrap_rad(direction + off[1]), np.zeros(2), 0.0, 100)
-    return found
-
-
-GROUPS = [*combinations(range(3), 2), *combinations(range(3, 6), 2)]
-
-
-@pytest.mark.parametrize('noise_rad', [0.0, 1e-3])
-def test_groups_that_only_disjoint_pairs_join_are_placed(noise_rad):
-    """Three directions give place and size of one group beside the other; two do not."""
-    rng = np.random.default_rng(5)
-    poses = np.column_stack([rng.uniform(0.0, 4.0, (6, 2)), rng.uniform(-3.0, 3.0, 6)])
-    poses[3:, 0] += 3.0
-    length = {(0, 1): Length(float(np.hypot(*(poses[1] - poses[0])[:2])), 3.0)}
-    first = np.array([*poses[0], 0.0, 0.0, 0.0])
-    between = [(0, 3), (1, 4), (2, 5)]
-    found = views_of(poses, [*GROUPS, *between], rng, noise_rad)
-    states = placed(6, found, {}, (), length, first)
-    assert states[:, :2] == pytest.approx(poses[:, :2], abs=1e-6 + 50.0 * noise_rad)
-    assert np.abs(wrap_rad(states[:, 2] - poses[:, 2])).max() < 1e-6 + 10.0 * noise_rad
-    found = views_of(poses, [*GROUPS, *between[:2]], rng, noise_rad)
-    with pytest.raises(LandmarkNavError, match='nothing gives the scale'):
-        placed(6, found, {}, (), length, first)

@@ -32,8 +32,7 @@ def placed(
     """
     States (v, 6), one after the other by the pairs with most support.
 
-    They are where ways from two others cross, or as far away as one of the baselines `lengths`, or
-    where all ways together determine them, as those between two groups of sweeps.
+    They are where ways from two others cross, or as far away as one of the baselines `lengths`.
     `alone` are pairs without a baseline.
     """
     states = np.zeros((count, STATE))
@@ -53,14 +52,6 @@ def placed(
             sine = _STEEP_SINE if length and lead else _LEAST_SINE
             if length := way.crossed(states, others, sine) or length:
                 usable[e] = length
-        if not usable:
-            together = _together(states, done, found)
-            gaps = {
-                e: together[w.new] - states[w.near, :2]
-                for e, w in ways.items()
-                if w.new in together
-            }
-            usable = {e: k for e, gap in gaps.items() if (k := float(gap @ ways[e].along)) > 0.0}
         if not usable:
             if still := next((e for e in ways if e in lengths), None):
                 raise LandmarkNavError(
@@ -88,31 +79,6 @@ def placed(
     states[:, 2] = wrap_rad(states[:, 2] + turn)
     states[:, 3] += first[3] - states[0, 3]
     return states
-
-
-def _together(
-    states: FloatArray, done: Set[int], found: Mapping[Pair, TwoViews]
-) -> dict[int, FloatArray]:
-    """Places (2,) that the directions of all ways determine only together, by least squares."""
-    heading = {k: float(states[k, 2]) for k in done}
-    while reach := [e for e in found if (e[0] in heading) != (e[1] in heading)]:
-        i, j = max(reach, key=lambda e: found[e].support)
-        turn = found[i, j].heading_rad
-        heading |= {j: heading[i] + turn} if i in heading else {i: heading[j] - turn}
-    old, new = [*done], sorted(heading.keys() - done)
-    across = np.zeros((len(found), len(states), 2))
-    for row, ((i, j), pose) in zip(across, found.items(), strict=True):
-        if i in heading:
-            course = heading[i] + pose.direction_rad
-            row[[i, j]] = np.outer([-1.0, 1.0], [-np.sin(course), np.cos(course)])
-    of_new = across[:, new].reshape(len(found), -1)
-    off = np.einsum('ekc,kc->e', across[:, old], states[old, :2])
-    places = np.linalg.lstsq(of_new, -off, rcond=None)[0].reshape(-1, 2)
-    _, strength, modes = np.linalg.svd(of_new)
-    weak = np.ones(len(modes), dtype=np.bool_)
-    weak[: len(strength)] = strength < _LEAST_SINE
-    free = np.linalg.norm(modes[weak].reshape(-1, len(new), 2), axis=(0, 2))
-    return {k: places[n] for n, k in enumerate(new) if free[n] < _LEAST_SINE}
 
 
 class _Way(NamedTuple):
