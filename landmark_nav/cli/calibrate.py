@@ -91,6 +91,8 @@ def run(args: argparse.Namespace) -> int:
     work = _Work(known, landmarks, load_configuration(args.config, args.robot, *READS))
     if sweeps:
         _use_sweeps(work, sweeps, room, bool(drives))
+        if drives and landmarks is None and work.landmarks is not None:
+            work.known = work.landmarks.calibration_from(given)
     for bag in drives:
         _use_drive(work, bag)
     found = work.known
@@ -162,7 +164,7 @@ def _use_sweeps(work: _Work, bags: list[Bag], room: Room | None, mapped: bool) -
         return
     work.landmarks = learned = replace(learned, prior=given)
     if learned.calibration is not None:
-        work.known = learned.calibration_from(given)
+        work.known = replace(learned.calibration, base=given.base)
 
 
 def _use_drive(work: _Work, bag: Bag) -> None:

@@ -168,7 +168,7 @@ def check_scale(bag: Bag, config: Configuration) -> None:
     if not (bag.find('odom', 'sweep/pose') or sheets.has_papers or sheets.has_markers):
         raise LandmarkNavError(
             f'{bag.path}: nothing gives the scale: record odom, publish sweep/pose, hang sheets '
-            '(--paper-size, --marker-size), or measure walls and papers (--room)'
+            '(--paper-size, --marker-size of learn), or measure walls and papers (--room)'
         )
 
 

@@ -96,7 +96,9 @@ def check_twist(stream: Stream) -> list[Finding]:
             which = 'pose' if size > 1.0 else 'twist'
             advice = f'the {which} looks like {unit}: publish metres and radians'
         else:
-            advice = 'pose and twist contradict each other: look at scale and frame (child_frame_id)'
+            advice = (
+                'pose and twist contradict each other: look at scale and frame (child_frame_id)'
+            )
         text = f'pose {verb} {ratio:.3g} times its twist'
         found.append(Finding(f'odom twist, {name}', level, text, advice, {'ratio': ratio}))
     return found

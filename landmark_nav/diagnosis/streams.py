@@ -200,6 +200,7 @@ def two_sources(stream: Stream, angles: tuple[int, ...]) -> tuple[Source, Source
         return None
     one, other = (stream.seconds[source.keep] for source in split)
     alternate = one.min() < np.median(other) < one.max()
+    alternate &= other.min() < np.median(one) < other.max()
     return None if alternate and not _split(stream.seconds, stream.values, angles) else split
 
 

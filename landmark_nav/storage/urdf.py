@@ -66,7 +66,7 @@ def robot_of_urdf(text: str, camera_frame: str = '') -> dict[str, Any]:
     joints = _joints(text)
     optical = [name for name in joints if _OPTICAL in name]
     if camera_frame and camera_frame not in joints:
-        which = f'take one of {shown(optical)}'
+        which = f'take one of {shown(optical)}' if optical else f'name one with {_OPTICAL}'
         raise LandmarkNavError(f'no joint holds a frame {shown(camera_frame)}: {which}')
     parents = {joint.parent for joint in joints.values()}
     if joints and _BASE not in parents:

@@ -23,7 +23,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 from scipy.special import chdtri
 
-from landmark_nav.calibration import Calibration, DEFAULT_SIGMAS, NAMES
+from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.se2 import rotation_rpy
@@ -121,16 +121,17 @@ def calibrate_sweep(
     fit = problem.fit(sorted(free), _UNIT_SIGMA_RAD)
     # Exact values are judged once ranges are known: before, the parallax of a wrong offset of the
     # optical centre looks like another focal length.
-    loose = DEFAULT_SIGMAS * ((prior.sigmas == 0.0) & (range_m is None))
-    before = prior.widened(dict(zip(NAMES, loose.tolist(), strict=True)))
-    after, shown = with_overlaps(before, before, fit), np.diag(fit.covariance) > 0.0
+    judged = prior.sigmas[CORRECTED] > 0.0 if range_m is None else np.ones(len(COMMON), np.bool_)
+    fit = replace(fit, covariance=fit.covariance * np.outer(judged, judged))
+    after, shown = with_overlaps(prior, prior, fit), np.diag(fit.covariance) > 0.0
     common = np.where(shown, (after.values - prior.values)[CORRECTED], 0.0)
     covariance = after.covariance[np.ix_(CORRECTED, CORRECTED)] * np.outer(shown, shown)
     # Whether the overlaps contradict the values before: chi-square of all terms together.
-    misfit = fit.common[shown] @ solve_positive(
-        fit.covariance[np.ix_(shown, shown)], fit.common[shown]
-    )
-    differs = misfit > chdtri(int(shown.sum()), _CHANCE)
+    misfit = 0.0
+    if shown.any():
+        known = fit.covariance[np.ix_(shown, shown)]
+        misfit = float(fit.common[shown] @ solve_positive(known, fit.common[shown]))
+    differs = misfit > chdtri(max(int(shown.sum()), 1), _CHANCE)
     used = replace(fit, common=common) if differs else problem.fit([], _UNIT_SIGMA_RAD)
     quality = _quality(problem, overlaps, used, _terms(used.common, covariance))
     made = corrected(prior, used.common)
