@@ -147,7 +147,7 @@ class PaperFaults:
         """The single fault, and what to do, in one line; empty if there is none."""
         text = ', or '.join(fault.text for fault in self.faults[:2])
         if len(self.faults) > 1:
-            return f'{text}; the sweeps fit both: measure both again'
+            return f'{text}; the sweeps fit both: measure both'
         return f'{text}: measure again and fix it' if text else ''
 
 
@@ -473,12 +473,12 @@ _WORDS = {
     'tallness': ('is {} {}', 'taller', 'less tall'),
     'size': ('is {} {}', 'larger', 'smaller'),
     'sizes': (
-        'the papers look {} {} than room.yaml gives beside their distances',
+        'the papers are {} {} than in room.yaml, unlike their distances',
         'larger',
         'smaller',
     ),
     'camera_height': ('the camera is {} {} than robot.yaml gives', 'higher', 'lower'),
-    'focal': ('the focal length of camera_info is {} too {}', 'small', 'large'),
+    'focal': ('the focal length in camera_info is {} too {}', 'small', 'large'),
 }
 # What an exchange of the first and third channel makes of red and blue.
 _OF_CHANNELS = {('red', 'blue'), ('blue', 'red')}
