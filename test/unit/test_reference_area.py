@@ -179,6 +179,8 @@ def test_other_things_in_the_papers_colours_do_not_mislead():
 POSE = np.array([3.5, 2.0, 0.3])
 # The same three papers on the opposite wall.
 TWINS = tuple(replace(p, center=(0.0, 5.0 - p.center[1], p.center[2])) for p in EAST)
+# The upper part of the last one is above the images.
+HIGH = (*EAST[:2], replace(EAST[2], center=(6.0, 3.6, 2.05)))
 
 
 @pytest.mark.parametrize(
@@ -194,10 +196,11 @@ TWINS = tuple(replace(p, center=(0.0, 5.0 - p.center[1], p.center[2])) for p in 
         # That they are swapped says `paper_faults`, of all sweeps together.
         ((EAST[0], replace(EAST[1], color='blue'), replace(EAST[2], color='green')), EAST, None),
         (EAST + TWINS, EAST, 'ambiguous.*fit alike'),
+        (HIGH, HIGH, 'red fits, green fits, blue is cut'),
         (EAST, (), 'names 0 reference papers.*sweep/pose'),
         (EAST, EAST[:2], 'names 2 reference papers.*sweep/pose'),
     ],
-    ids=['missing', 'hidden', 'swapped', 'ambiguous', 'none', 'two'],
+    ids=['missing', 'hidden', 'swapped', 'ambiguous', 'cut', 'none', 'two'],
 )
 def test_papers_that_give_no_place_are_named(hung, given, message):
     room = rectangle_room(papers=given)

@@ -8,7 +8,7 @@ edges together are more accurate, and sizes distinguish wrong correspondences fr
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -266,10 +266,19 @@ class PaperSearch:
                 return error
             except LandmarkNavError:
                 pass
-        why = _why_not(self._blobs, fits, self._room)
+        why = _why_not(self._blobs, fits, self._room, self._are_cut)
         unseen = describe_coverage([f.pan_rad for f in frames], frames[0].camera.half_fov_rad)
         hint = f'papers may be out of what the sweep saw ({unseen}): turn the robot; or else '
         return LandmarkNavError(f'{hint if unseen else ""}{why}')
+
+    def _are_cut(self, axis_xy: FloatArray) -> BoolArray:
+        """Whether papers (n,) extend beyond the upper or lower border of the view from a place."""
+        center = np.array([paper.center for paper in self._room.papers])
+        half = 0.5 * np.array([paper.height for paper in self._room.papers])
+        reach = np.linalg.norm(center[:, :2] - axis_xy, axis=1)
+        ends = (center[:, 2] - self._height_m + [half, -half]) / reach
+        upper, lower = self._view.cylinder.row_of(ends)
+        return np.asarray((upper < 0.0) | (lower > self._view.cylinder.height - 1))
 
 
 def optical_height(sweep: Sweep, mount: PanTiltMount) -> float:
@@ -370,7 +379,12 @@ def _size_warning(fit: PaperFit, config: ReferenceAreaConfig) -> str:
     )
 
 
-def _why_not(blobs: list[PaperBlobs], fits: list[PaperFit], room: Room) -> str:
+def _why_not(
+    blobs: list[PaperBlobs],
+    fits: list[PaperFit],
+    room: Room,
+    are_cut: Callable[[FloatArray], BoolArray],
+) -> str:
     """Message if no pose was found: expected papers, found blobs or edges, and advice."""
     missing = [p.color for p, b in zip(room.papers, blobs, strict=True) if not len(b)]
     expected = ', '.join(p.color for p in room.papers)
@@ -382,15 +396,18 @@ def _why_not(blobs: list[PaperBlobs], fits: list[PaperFit], room: Room) -> str:
     if fits:
         best = max(fits, key=lambda fit: float(np.sum(fit.seen * (fit.agreed > 0.95))))
         in_view, fitting = papers_in_view(best.pose_map_base[:2], room), _measured_papers(best)
+        cut = are_cut(best.pose_map_base[:2]) & in_view & ~fitting
         each = []
         for k, paper in enumerate(room.papers):
             seen, agreed = 100 * best.seen[k], 100 * best.agreed[k]
             words = f'shows {seen:.0f} % of its edges, {agreed:.0f} % of them fit'
             if fitting[k] or not in_view[k]:
                 words = 'fits' if fitting[k] else 'is out of view'
-            each.append(f'{paper.color} {words}')
+            each.append(f'{paper.color} {"is cut by the image border" if cut[k] else words}')
         remedy = 'uncover the papers, or check colours, sizes and places in room.yaml'
-        if (fitting | ~in_view).all():
+        if cut.any():
+            remedy = 'hang them nearer to the height of the camera, or sweep farther away'
+        elif (fitting | ~in_view).all():
             remedy = (
                 'not all together: check sizes and places of the papers in room.yaml, and how the '
                 'pan axis stands in robot.yaml'
