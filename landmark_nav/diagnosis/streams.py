@@ -193,27 +193,13 @@ def two_sources(stream: Stream, angles: tuple[int, ...]) -> tuple[Source, Source
 
     Columns hold positions [m], and angles [rad] if their index is in `angles`.
     """
-    # By arrival, as a second source may have another clock. Messages of one source may arrive in
-    # another order: then its stamps alternate as well, and are those of one motion.
-    split = _split(stream.logged, stream.values, angles)
-    if split is None:
+    if not len(stream):
         return None
-    one, other = (stream.seconds[source.keep] for source in split)
-    alternate = one.min() < np.median(other) < one.max()
-    alternate &= other.min() < np.median(one) < other.max()
-    return None if alternate and not _split(stream.seconds, stream.values, angles) else split
-
-
-def _split(
-    clock: FloatArray, every: FloatArray, angles: tuple[int, ...]
-) -> tuple[Source, Source] | None:
-    """Sources of values (n, k) at times (n,), by one clock."""
-    if not len(clock):
-        return None
-    order = np.argsort(clock, kind='stable')
+    # In the order of arrival: stamps may go back.
+    order = np.argsort(stream.logged, kind='stable')
     # Repeated values carry no information.
-    new = np.append(True, (np.diff(every[order], axis=0) != 0.0).any(1))
-    times, values = clock[order[new]], every[order[new]]
+    new = np.append(True, (np.diff(stream.values[order], axis=0) != 0.0).any(1))
+    times, values = stream.logged[order[new]], stream.values[order[new]]
     is_angle = np.isin(np.arange(values.shape[1]), angles)
     speed = np.where(is_angle, _FASTEST_RAD_S, _FASTEST_M_S)
     tolerance = np.where(is_angle, _TOLERANCE_RAD, _TOLERANCE_M)

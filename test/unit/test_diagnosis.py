@@ -376,12 +376,6 @@ def _pans(stamps_s, logged_s, angles):
     return Stream('joint_states', '', stamps, logged, angles[order, None])
 
 
-def test_messages_that_arrive_in_another_order_come_from_one_source():
-    stamps = np.arange(0.0, 20.0, 0.03)
-    late = stamps + np.random.default_rng(2).uniform(0.0, 0.4, len(stamps))
-    assert two_sources(_pans(stamps, late, np.sin(stamps)), (0,)) is None
-
-
 @pytest.mark.parametrize('behind_s', [0.0, 1000.0])
 def test_two_sources_are_separated_even_if_each_has_its_own_clock(behind_s):
     times = np.arange(0.0, 20.0, 0.03)
