@@ -345,8 +345,8 @@ def unplaced_panorama(sweep: Sweep, given: Calibration, log: StageLog) -> Panora
     """
     Make the panorama of a sweep with unknown pose: it gets the pose of the axis in the base frame.
 
-    Raises `LandmarkNavError`: the sweep has no frames, the pan does not turn as reported, or the
-    overlaps contradict an exact value.
+    Exact values stay, as ranges are unknown. Raises `LandmarkNavError`: the sweep has no frames,
+    or the pan does not turn as reported.
     """
     if not sweep.frames:
         raise LandmarkNavError('the sweep has no frames: take it again')
