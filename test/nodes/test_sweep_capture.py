@@ -160,8 +160,7 @@ def test_refusals_state_why_and_leave_the_node_running(robot, start, client, set
 
 def test_a_sweep_is_interrupted_and_continued(robot, start, client, setup_files):
     command = 'JointState'
-    own = {'capture.step_timeout_s': 3.0, 'command.type': command}
-    start('sweep_capture', **sweep_parameters(setup_files), **own)
+    start('sweep_capture', **sweep_parameters(setup_files), **{'command.type': command})
     called = False
 
     def call_again():
@@ -174,6 +173,7 @@ def test_a_sweep_is_interrupted_and_continued(robot, start, client, setup_files)
     with pytest.raises(LandmarkNavError, match='no sweep: capture_sweep was called again'):
         client.call('capture_sweep', 30.0, call_again)
     small = robot('compressed', command)
+    client.wait(lambda: client.status_of('sweep_capture').reason == 'ready', 20.0, 'the robot')
 
     called = False
 
