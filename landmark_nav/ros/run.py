@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 import ctypes
+import gc
 import logging
 import os
 from pathlib import Path
@@ -237,6 +238,8 @@ def join_ros(context: Context | None = None, domain_id: int | None = None) -> in
 # Time after a signal at which the process ends in any case. A stage such as learning takes seconds
 # and cannot be interrupted; files are written atomically, so that ending is safe.
 _GRACE_S = 2.0
+# Greatest time for which a thread keeps another one from running: images and messages take turns.
+_SWITCH_S = 5e-4
 _USAGE = """{does}
 
 usage: {name} [--ros-args [--params-file F.yaml] [-p PARAMETER:=VALUE ...]]
@@ -290,6 +293,10 @@ def _spin(nodes: Sequence[LandmarkNode], threads: int, shutdown_guard: ShutdownG
         executor.add_node(node)
         # Not `spin_until_future_complete`: in Jazzy it adds another callback in every iteration.
         node.ended.add_done_callback(wake)
+    # What exists now stays until the end: collections then take 1 ms instead of 30.
+    gc.freeze()
+    # A thread that computes holds the interpreter lock for this time while another one waits.
+    sys.setswitchinterval(_SWITCH_S)
     try:
         # Waiting service calls see the end, and are answered.
         while any(not node.ended.done() or node.calls_that_wait for node in nodes):
