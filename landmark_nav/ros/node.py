@@ -19,6 +19,7 @@ from rclpy.callback_groups import (
     MutuallyExclusiveCallbackGroup,
     ReentrantCallbackGroup,
 )
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
 from rclpy.exceptions import InvalidParameterTypeException
 from rclpy.lifecycle import LifecycleNodeMixin, LifecycleState, TransitionCallbackReturn
 from rclpy.node import Node
@@ -316,6 +317,8 @@ class LandmarkNode(ManagedNode):
         self, msg_type: Any, topic: str, callback: Callable[[Any], None], *args: Any, **given: Any
     ) -> Subscription[Any]:
         """Subscribe as in rclpy; the callback is guarded and registered in `inputs`."""
+        # `inputs` reports publishers of another QoS; events would double what every wait costs.
+        given.setdefault('event_callbacks', SubscriptionEventCallbacks(use_default_callbacks=False))
         source = self.inputs.expect(topic)
         comes_once = topic in topics.TOPICS and topics.TOPICS[topic].is_latched
 
@@ -342,6 +345,7 @@ class LandmarkNode(ManagedNode):
         self, msg_type: Any, topic: str, *args: Any, **given: Any
     ) -> Publisher[Any]:
         """Create a publisher as in rclpy, with the former name of a renamed topic."""
+        given.setdefault('event_callbacks', PublisherEventCallbacks(use_default_callbacks=False))
         made = super().create_publisher(msg_type, topic, *args, **given)
         if topic in topics.FORMER_NAMES:
             former = super().create_publisher(msg_type, topics.FORMER_NAMES[topic], *args, **given)
