@@ -167,9 +167,9 @@ class Calibration:
         known = self.intrinsics
         if known is None:
             return replace(self, intrinsics=intrinsics)
-        if self.same_camera(replace(self, intrinsics=intrinsics)):
-            return self
         off = np.abs(known - intrinsics)
+        if off.max() < _SAME_LENS:
+            return self
         # In the units of `LENS`.
         steps = [float((off[:2] / known[:2]).max()), float(off[2] / known[0]), float(off[4])]
         tilted = self.widened({'camera_tilt': float(off[3] / known[1])})
