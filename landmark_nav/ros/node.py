@@ -318,7 +318,8 @@ class LandmarkNode(ManagedNode):
     ) -> Subscription[Any]:
         """Subscribe as in rclpy; the callback is guarded and registered in `inputs`."""
         # `inputs` reports publishers of another QoS; events would double what every wait costs.
-        given.setdefault('event_callbacks', SubscriptionEventCallbacks(use_default_callbacks=False))
+        events = SubscriptionEventCallbacks(use_default_callbacks=False)
+        given.setdefault('event_callbacks', events)
         source = self.inputs.expect(topic)
         comes_once = topic in topics.TOPICS and topics.TOPICS[topic].is_latched
 
@@ -345,7 +346,8 @@ class LandmarkNode(ManagedNode):
         self, msg_type: Any, topic: str, *args: Any, **given: Any
     ) -> Publisher[Any]:
         """Create a publisher as in rclpy, with the former name of a renamed topic."""
-        given.setdefault('event_callbacks', PublisherEventCallbacks(use_default_callbacks=False))
+        events = PublisherEventCallbacks(use_default_callbacks=False)
+        given.setdefault('event_callbacks', events)
         made = super().create_publisher(msg_type, topic, *args, **given)
         if topic in topics.FORMER_NAMES:
             former = super().create_publisher(msg_type, topics.FORMER_NAMES[topic], *args, **given)

@@ -293,9 +293,8 @@ def _spin(nodes: Sequence[LandmarkNode], threads: int, shutdown_guard: ShutdownG
         executor.add_node(node)
         # Not `spin_until_future_complete`: in Jazzy it adds another callback in every iteration.
         node.ended.add_done_callback(wake)
-    # What exists now stays until the end: collections then take 1 ms instead of 30.
+    # What exists now stays: a full collection takes 1 ms instead of 46 with the lock held.
     gc.freeze()
-    # A thread that computes holds the interpreter lock for this time while another one waits.
     sys.setswitchinterval(_SWITCH_S)
     try:
         # Waiting service calls see the end, and are answered.
