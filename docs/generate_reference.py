@@ -319,9 +319,9 @@ def _commands() -> Iterator[str]:
 def _calibration() -> Iterator[str]:
     from landmark_nav.calibration import Calibration, MEANINGS, NAMES, UNITS
     from landmark_nav.geometry.camera import PanTiltMount
-    from landmark_nav.storage.robot_files import _SIGMAS
+    from landmark_nav.storage.setup_files import QUANTITIES
 
-    fields = {name: field for field, names in _SIGMAS.items() for name in names}
+    fields = {name: f'{field}_sigma' for field, names in QUANTITIES.items() for name in names}
     yield from (
         '# Calibration',
         '',

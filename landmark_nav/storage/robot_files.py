@@ -12,12 +12,20 @@ from typing import Any, TypeVar
 import numpy as np
 import yaml
 
-from landmark_nav.calibration import Calibration, LENS, NAMES, UNITS
+from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.errors import inside, LandmarkNavError, shown
 from landmark_nav.parameters import changed
 from landmark_nav.storage.atomic_io import write_atomically
-from landmark_nav.storage.reading import array_field, number_field, read_yaml_mapping
-from landmark_nav.storage.setup_files import MOUNT_FIELDS, mount_of, read_robot, ROBOT_FIELDS
+from landmark_nav.storage.reading import Entry, read_yaml_mapping
+from landmark_nav.storage.setup_files import (
+    MOUNT_FIELDS,
+    mount_of,
+    QUANTITIES,
+    quantities_of,
+    read_robot,
+    ROBOT_FIELDS,
+    sigmas_of,
+)
 from landmark_nav.types import FloatArray
 
 _LOG = logging.getLogger(__name__)
@@ -89,23 +97,8 @@ def shipped_config(name: str) -> Path:
 
 T = TypeVar('T')
 
-# Field with sigmas -> its quantities; a single number applies to all of them.
-_SIGMAS = {
-    'xyz_sigma': ('axis_x', 'axis_y', 'axis_z'),
-    'rpy_sigma': ('axis_roll', 'axis_pitch', 'axis_yaw'),
-    'optical_center_offset_sigma': ('center_x', 'center_y', 'center_z'),
-    'camera_roll_sigma': ('camera_roll',),
-}
-# Quantities that a mount does not hold. Their fields have their names; sigmas end in `_sigma`.
-_SCALARS = ('camera_tilt', 'pan_scale', *LENS, 'joint_delay')
-_SIGMAS |= {f'{name}_sigma': (name,) for name in _SCALARS}
-_OF_AXIS = ('xyz_sigma', 'rpy_sigma')
-# Greatest sigma by unit; a larger one is given in another unit.
-_LARGEST = {'m': 1.0, 'rad': 3.2, '1': 1.0, 's': 10.0}
 # Least absolute correlation that is written.
 _LEAST_CORRELATION = 1e-6
-# Greatest absolute value of a quantity by unit; a larger one is given in another unit.
-_LARGEST_SCALAR = {'rad': 1.0, '1': 0.5, 's': 1.0}
 
 
 def load_calibration(path: Path | str, former: Mapping[str, Any] | None = None) -> Calibration:
@@ -123,21 +116,9 @@ def load_calibration(path: Path | str, former: Mapping[str, Any] | None = None) 
     mount = mount_of(document, path)
     if strange := [str(key) for key in document if key not in ROBOT_FIELDS]:
         _LOG.warning('%s: no fields of it, not used: %s', path, ', '.join(strange[:5]))
-    axis = document['pan_axis']
-    sigmas: dict[str, float] = {}
-    values: dict[str, float] = {}
+    robot = Entry(document, 'robot')
     with inside(path):
-        for key, names in _SIGMAS.items():
-            where, mapping = ('pan_axis', axis) if key in _OF_AXIS else ('robot', document)
-            if key in mapping:
-                sigmas |= zip(names, _spread(mapping, key, names, where), strict=True)
-        for name in _SCALARS:
-            if name in document:
-                values[name] = number_field(document, name, 'robot')
-                if abs(values[name]) > _LARGEST_SCALAR[UNITS[name]]:
-                    unit = UNITS[name].replace('1', 'a fraction')
-                    raise LandmarkNavError(f'robot: {name} is {values[name]:g}: give it in {unit}')
-        alone = Calibration.of_mount(mount, sigmas, values)
+        alone = Calibration.of_mount(mount, sigmas_of(robot), quantities_of(robot))
         together = _correlations(document.get('correlations', []))
         return replace(alone, covariance=np.outer(alone.sigmas, alone.sigmas) * together)
 
@@ -178,19 +159,6 @@ def _correlations(entries: Any) -> FloatArray:
     return together
 
 
-def _spread(mapping: dict[str, Any], key: str, names: tuple[str, ...], where: str) -> list[float]:
-    """Sigmas of some quantities, from a field with one number for all or one for each."""
-    single = not isinstance(mapping[key], list)
-    given = array_field(mapping, key, () if single else (len(names),), where)
-    spread = np.broadcast_to(given, len(names)).tolist()
-    largest = _LARGEST[UNITS[names[0]]]
-    if min(spread) < 0.0 or max(spread) > largest:
-        unit = UNITS[names[0]].replace('1', 'a fraction')
-        how = f'give sigmas of 0 to {largest:g}, in {unit}'
-        raise LandmarkNavError(f'{where}: {key} is {mapping[key]!r}: {how}')
-    return list(spread)
-
-
 def save_calibration(
     calibration: Calibration, path: Path | str, odometry: Mapping[str, Any] | None = None
 ) -> None:
@@ -201,23 +169,25 @@ def save_calibration(
     """
     base = calibration.base
 
-    def both(name: str, first: str) -> dict[str, list[float]]:
-        """Fields of three quantities: values and sigmas."""
-        three = slice(NAMES.index(first), NAMES.index(first) + 3)
-        values, sigmas = calibration.values[three], calibration.sigmas[three]
-        return {name: [*map(_rounded, values)], f'{name}_sigma': [*map(_rounded, sigmas)]}
+    def both(field: str) -> dict[str, Any]:
+        """Field of a value or several, and that of their sigmas."""
+        values, sigmas = zip(
+            *(map(_rounded, calibration[k]) for k in QUANTITIES[field]), strict=True
+        )
+        if len(values) == 1:
+            return {field: values[0], f'{field}_sigma': sigmas[0]}
+        return {field: [*values], f'{field}_sigma': [*sigmas]}
 
     document: dict[str, Any] = {
         **{name: getattr(base, name) for name in ('base_frame', 'pan_joint', 'tilt_joint')},
-        'pan_axis': both('xyz', 'axis_x') | both('rpy', 'axis_roll'),
-        **both('optical_center_offset', 'center_x'),
-        'pan_sigma': float(base.pan_sigma_rad),
+        'pan_axis': both('xyz') | both('rpy'),
+        **both('optical_center_offset'),
         **{key: float(getattr(base, argument)) for key, (argument, *_) in MOUNT_FIELDS.items()},
     }
     if odometry:
         document['odometry'] = dict(odometry)
-    for name in ('camera_roll', *_SCALARS):
-        document[name], document[f'{name}_sigma'] = map(_rounded, calibration[name])
+    for name in NAMES[9:]:
+        document |= both(name)
     spread = np.maximum(calibration.sigmas, 1e-12)
     together = calibration.covariance / np.outer(spread, spread)
     # Correlations are rounded toward zero, so that the matrix stays positive semi-definite.
