@@ -333,10 +333,9 @@ def _clock(stream: str, late: Estimate) -> Finding:
         return Finding(f'{stream} clock', 'ok', 'not judged by motion: it hardly moves')
     text = f'{1e3 * late.value:+.0f} ms against the images (sigma {1e3 * late.sigma:.0f} ms)'
     values = {'late_s': late.value, 'sigma_s': late.sigma}
-    if late.beyond(0.05, 0.1):
-        advice = 'stamp at the time of measurement'
-        return Finding(f'{stream} clock', 'warning', text, advice, values)
-    return Finding(f'{stream} clock', 'ok', text, '', values)
+    wrong, advice = late.beyond(0.05, 0.1), 'stamp at the time of measurement'
+    level: Level = 'warning' if wrong else 'ok'
+    return Finding(f'{stream} clock', level, text, advice if wrong else '', values)
 
 
 def _unit(slopes: Linear, room: Room | None) -> list[Finding]:

@@ -87,9 +87,7 @@ def _motion(looks: Looks, pan: Track, *apart: int) -> Motion:
     """Pan, and turns between images that are `apart` apart."""
     pairs = []
     for step in apart:
-        firsts = np.array([k for k in looks.strips if k + step in looks.strips], dtype=np.intp)
-        first, second = looks.stream.seconds[np.stack([firsts, firsts + step])]
-        turns = np.array([looks.compared(k, k + step)[0] for k in firsts.tolist()])
+        first, second, turns = looks.turns(looks.pairs(step))
         good = np.isfinite(turns) & (second > first)
         # The robot moves between sweeps.
         good &= second - first < 3.0 * float(np.median(second - first)) if len(first) else good

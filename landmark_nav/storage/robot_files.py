@@ -24,7 +24,6 @@ from landmark_nav.storage.setup_files import (
     quantities_of,
     read_robot,
     ROBOT_FIELDS,
-    sigmas_of,
 )
 from landmark_nav.types import FloatArray
 
@@ -118,7 +117,8 @@ def load_calibration(path: Path | str, former: Mapping[str, Any] | None = None) 
         _LOG.warning('%s: no fields of it, not used: %s', path, ', '.join(strange[:5]))
     robot = Entry(document, 'robot')
     with inside(path):
-        alone = Calibration.of_mount(mount, sigmas_of(robot), quantities_of(robot))
+        sigmas, values = (quantities_of(robot, sigmas=which) for which in (True, False))
+        alone = Calibration.of_mount(mount, sigmas, values)
         together = _correlations(document.get('correlations', []))
         return replace(alone, covariance=np.outer(alone.sigmas, alone.sigmas) * together)
 

@@ -246,7 +246,7 @@ def mount_of(document: dict[str, Any], path: Path) -> PanTiltMount:
     with inside(path):
         robot = Entry(document, 'robot', ROBOT_FIELDS)
         robot.section('pan_axis').field('xyz')  # all else has a default
-        x = [*quantities_of(robot, _OF_MOUNT).values()]
+        x = [*(dict.fromkeys(NAMES[:10], 0.0) | quantities_of(robot, _OF_MOUNT)).values()]
         pan, tilt = (robot.name(name, name) for name in ('pan_joint', 'tilt_joint'))
         if pan == tilt:
             raise robot.refused(f'pan_joint and tilt_joint are both {pan}: rename one')
@@ -266,33 +266,24 @@ def mount_of(document: dict[str, Any], path: Path) -> PanTiltMount:
         )
 
 
-def quantities_of(robot: Entry, fields: Iterable[str] = QUANTITIES) -> dict[str, float]:
-    """Quantities that some fields give, by name; 0 where a field is absent."""
+def quantities_of(
+    robot: Entry, fields: Iterable[str] = QUANTITIES, *, sigmas: bool = False
+) -> dict[str, float]:
+    """Quantities that some fields give, by name, or their sigmas; absent ones are left out."""
     axis = robot.section('pan_axis', _AXIS_FIELDS)
     found: dict[str, float] = {}
     for field in fields:
         names, entry = QUANTITIES[field], axis if field in _OF_AXIS else robot
-        unit = UNITS[names[0]]
-        most = _LARGEST.get(field, _LARGEST[unit])
-        how = f'{_HOW[unit]}, {most:g} at most'
-        shape = (len(names),) if len(names) > 1 else ()
-        given = entry.array(field, shape, -most, most, how) if field in entry else 0.0
-        found |= zip(names, np.broadcast_to(given, len(names)).tolist(), strict=True)
-    return found
-
-
-def sigmas_of(robot: Entry) -> dict[str, float]:
-    """Sigmas that are given, by name of the quantity."""
-    axis = robot.section('pan_axis')
-    found: dict[str, float] = {}
-    for field, names in QUANTITIES.items():
-        key, entry = f'{field}_sigma', axis if field in _OF_AXIS else robot
+        key = f'{field}_sigma' if sigmas else field
         if key not in entry:
             continue
-        most = _LARGEST_SIGMA[UNITS[names[0]]]
-        how = f'give sigmas of 0 to {most:g}, in {UNITS[names[0]].replace("1", "a fraction")}'
-        shape = (len(names),) if isinstance(entry.field(key), list) else ()
-        given = entry.array(key, shape, 0.0, most, how)
+        unit = UNITS[names[0]]
+        most = _LARGEST_SIGMA[unit] if sigmas else _LARGEST.get(field, _LARGEST[unit])
+        least, how = (0.0, f'0 to {most:g}') if sigmas else (-most, f'{most:g} at most')
+        # A single sigma is that of all quantities of the field.
+        several = isinstance(entry.field(key), list) if sigmas else len(names) > 1
+        shape = (len(names),) if several else ()
+        given = entry.array(key, shape, least, most, f'{_HOW[unit]}, {how}')
         found |= zip(names, np.broadcast_to(given, len(names)).tolist(), strict=True)
     return found
 

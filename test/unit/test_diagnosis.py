@@ -412,7 +412,7 @@ def seen(images, sharpness=0.5):
     small = dict(enumerate(images))
     nothing = Stream('images', '', *2 * (np.arange(len(images)),), np.empty((len(images), 0)))
     sharp = dict.fromkeys(small, sharpness)
-    return Looks(nothing, np.empty((0, 2), np.intp), (), {}, small, sharp, None, None, {})
+    return Looks(nothing, (), {}, small, sharp, None, None, {})
 
 
 def test_images_that_are_covered_blurred_or_flicker_are_named():
