@@ -42,8 +42,8 @@ from landmark_nav.diagnosis.streams import Stream, two_sources
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.matching.strips import StripView
 from landmark_nav.storage.bags import Bag, sensor_events
-from landmark_nav.storage.robot_files import load_calibration
-from landmark_nav.storage.setup_files import load_robot, load_room
+from landmark_nav.storage.robot_files import load_calibration, load_robot
+from landmark_nav.storage.setup_files import load_room
 from landmark_nav.types import OdometrySample
 
 BAGS = Path(__file__).resolve().parents[2] / 'bags'

@@ -11,8 +11,13 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.simulation.setup_documents import robot_document
-from landmark_nav.storage.robot_files import load_calibration, load_odometry, save_calibration
-from landmark_nav.storage.setup_files import load_camera, load_robot, load_room
+from landmark_nav.storage.robot_files import (
+    load_calibration,
+    load_odometry,
+    load_robot,
+    save_calibration,
+)
+from landmark_nav.storage.setup_files import load_camera, load_room
 
 ROOM = """\
 frame_id: hall
