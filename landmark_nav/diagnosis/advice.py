@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from landmark_nav.diagnosis.camera_errors import CameraError
-from landmark_nav.diagnosis.causes import ALIKE, Cause, CLOCKS, Verdict
+from landmark_nav.diagnosis.causes import Cause, CLOCKS, Verdict
 from landmark_nav.diagnosis.findings import Finding, Level
-from landmark_nav.diagnosis.motion import Estimate, IMAGES, JOINTS, Linear, Motion, ODOMETRY
+from landmark_nav.diagnosis.motion import ALIKE, Estimate, IMAGES, JOINTS, Linear, Motion, ODOMETRY
 from landmark_nav.diagnosis.odometry import nearness_of_room, unit_of
 from landmark_nav.geometry.walls import Room
 

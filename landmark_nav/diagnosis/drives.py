@@ -19,6 +19,7 @@ from landmark_nav.diagnosis.motion import (
     Clock,
     IMAGES,
     JOINTS,
+    LEAST_PAIRS,
     Linear,
     linear,
     Motion,
@@ -43,8 +44,6 @@ from landmark_nav.storage.bags import Bag
 
 # Number of images that are decoded if fewer show a fault.
 THOROUGH = 600
-# Least number of pairs of images from which motion is judged.
-_LEAST_PAIRS = 12
 # Share of the images in the time of a stream below which its clock is a different one.
 _COVERED = 0.1
 # Least offset of a clock that times of recording show.
@@ -166,7 +165,7 @@ class DriveChecks:
         if (mixed := parts.alternating_images(looks, pairs)) is not None:
             return [*found, mixed], Delays(), True
         motion = pairs.only(np.isfinite(pairs.turns_rad))
-        if len(motion) < _LEAST_PAIRS:
+        if len(motion) < LEAST_PAIRS:
             text = f'{len(motion)} pairs of images show how the camera turned: too few to judge'
             found.append(Finding('image motion', 'ok', text))
             return [*found, *_clocks_by_log(motion, hints, None)], Delays(), True
@@ -177,7 +176,7 @@ class DriveChecks:
             if (odd := part(motion)) is not None:
                 found.append(odd[0])
                 motion = odd[1]
-        if len(motion) < _LEAST_PAIRS:
+        if len(motion) < LEAST_PAIRS:
             return found, Delays(), False
         if (frozen := parts.frozen_values(motion)) is not None:
             finding, motion = frozen
