@@ -91,9 +91,8 @@ def pose_report(
     `independent` is that of `metrics.Bound`; without it there is no interval of NEES.
     """
     images = len(run.searched) + len(run.updates)
-    nees = metrics.consistency(run.errors.fused, run.fused_covariances)
-    mean, inside_95 = nees or (None, None)
-    known = nees is not None and np.isfinite(independent)
+    nees = _nees(run.errors.fused, run.fused_covariances)
+    known = nees['mean'] is not None and np.isfinite(independent)
     sigma = np.sqrt(np.diagonal(run.fused_covariances, axis1=1, axis2=2))
     sigma_m = np.hypot(sigma[:, 0], sigma[:, 1])
     return {
@@ -103,11 +102,8 @@ def pose_report(
         'availability': float(np.sum(~run.lost)) / images,
         'landmarks': len(landmark_map.landmarks),
         **_summaries(run),
-        'nees': {
-            'mean': mean,
-            'inside_95': inside_95,
-            'interval_95': list(metrics.nees_interval_95(independent)) if known else None,
-        },
+        'nees': nees
+        | {'interval_95': list(metrics.nees_interval_95(independent)) if known else None},
         'claimed': {
             'position_median_m': float(np.median(sigma_m)),
             'position_p95_m': float(np.percentile(sigma_m, 95)),
@@ -120,6 +116,11 @@ def pose_report(
 def _summaries(run: Replay) -> dict[str, Any]:
     """Metrics of the errors of each estimate."""
     return {name: error_summary(getattr(run.errors, name)) for name in _ESTIMATES}
+
+
+def _nees(errors: FloatArray, covariances: FloatArray) -> dict[str, Any]:
+    mean, inside_95 = consistency(errors, covariances) or (None, None)
+    return {'mean': mean, 'inside_95': inside_95}
 
 
 def _undetected(run: Replay) -> int | None:
@@ -350,9 +351,7 @@ def departures(run: Replay, smoothed: Smoothed) -> str:
 def smoothed_report(run: Replay, smoothed: Smoothed) -> dict[str, Any]:
     """Metrics of the smoothed trajectory: errors, as for the other estimates, and NEES."""
     errors = pose_errors(smoothed.poses, run.truth.at(smoothed.stamps_ns))
-    nees = consistency(errors, smoothed.covariances)
-    mean, inside_95 = nees or (None, None)
-    return {**error_summary(errors), 'nees': {'mean': mean, 'inside_95': inside_95}}
+    return {**error_summary(errors), 'nees': _nees(errors, smoothed.covariances)}
 
 
 def write_tum_files(run: Replay, folder: Path, smoothed: Smoothed | None = None) -> None:

@@ -123,7 +123,6 @@ _HOW = {
 }
 
 _URDF = '.urdf'
-
 _AXIS_FIELDS = tuple(f'{field}{end}' for field in _OF_AXIS for end in ('', '_sigma'))
 ROBOT_FIELDS = (
     *('base_frame', 'pan_joint', 'tilt_joint', 'pan_axis', 'correlations', 'odometry'),
@@ -174,7 +173,7 @@ def load_robot(path: Path | str, former: Mapping[str, Any] | None = None) -> Pan
 
 
 def _mount(robot: Entry) -> PanTiltMount:
-    robot.section('pan_axis').field('xyz')  # all else has a default
+    robot.section('pan_axis', _AXIS_FIELDS).field('xyz')  # all else has a default
     x = [*(dict.fromkeys(NAMES[:10], 0.0) | _quantities(robot, _OF_MOUNT)).values()]
     pan, tilt = (robot.name(name, name) for name in ('pan_joint', 'tilt_joint'))
     if pan == tilt:
@@ -199,7 +198,7 @@ def _quantities(
     robot: Entry, fields: Iterable[str] = QUANTITIES, *, sigmas: bool = False
 ) -> dict[str, float]:
     """Quantities that some fields give, by name, or their sigmas; absent ones are left out."""
-    axis = robot.section('pan_axis', _AXIS_FIELDS)
+    axis = robot.section('pan_axis')
     found: dict[str, float] = {}
     for field in fields:
         names, entry = QUANTITIES[field], axis if field in _OF_AXIS else robot

@@ -117,23 +117,22 @@ def _reference_area(document: Any) -> tuple[tuple[Paper, ...], tuple[Marker, ...
     known = [key for key in ('papers', 'markers') if key in area] or ['papers']
     dictionary = area.name('marker_dictionary', default)
     last = marker_count(dictionary) - 1
+    how = f'{dictionary} has 0 to {last}: give another number, or its marker_dictionary'
     hung = {key: area.entries(key, longest=_MAX_PAPERS) for key in known}
     papers = tuple(map(_paper, hung.get('papers', ())))
-    markers = tuple(map(_marker, hung.get('markers', ())))
+    markers = tuple(_marker(entry, last, how) for entry in hung.get('markers', ()))
     numbers = [marker.number for marker in markers]
     if len({*numbers}) < len(numbers):
         twice = max(numbers, key=numbers.count)
         raise area.refused(f'marker {twice} is there twice: hang each number once')
-    for i, number in enumerate(numbers):
-        if number > last:
-            how = f'{dictionary} has 0 to {last}: give another number, or its marker_dictionary'
-            raise LandmarkNavError(f'markers[{i}]: number is {number}: {how}')
     return papers, markers, dictionary
 
 
-def _marker(entry: Entry) -> Marker:
-    """Marker of an entry, with a plausible size."""
+def _marker(entry: Entry, last: int, how: str) -> Marker:
+    """Marker of an entry, with a plausible size and a number up to `last`."""
     number, size = entry.integer('number'), entry.number('size')
+    if number > last:
+        raise entry.refused(f'number is {number}: {how}')
     if not _SHEET_M[0] <= size <= _SHEET_M[1]:
         raise entry.refused(f'{size:g} m is no size of a marker: {_METRES}')
     return Marker(number, _point(entry, 'center', 3), size)
