@@ -10,7 +10,6 @@ import numpy as np
 from landmark_nav.arrays import FloatArray
 from landmark_nav.diagnosis.findings import Finding, Level
 from landmark_nav.diagnosis.streams import Stream
-from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.walls import Room
 
 # Speeds that are suspicious for a robot indoors, and impossible.
@@ -67,7 +66,8 @@ def check_twist(stream: Stream) -> list[Finding]:
     moved = np.diff(values[:, :2], axis=0)
     heading = 0.5 * (values[1:, 2] + values[:-1, 2])
     forward = np.cos(heading) * moved[:, 0] + np.sin(heading) * moved[:, 1]
-    turned = wrap_rad(np.diff(values[:, 2]))
+    turned = np.diff(values[:, 2])
+    turned = np.arctan2(np.sin(turned), np.cos(turned))
     found = []
     for name, verb, by_pose, column, least, units in (
         ('forward', 'moves', forward, 3, _LEAST_MOTION_M, _UNITS),
@@ -136,7 +136,7 @@ def check_jumps(stream: Stream) -> Finding | None:
     if len(stream) < _LEAST_STEPS:
         return None
     moved = np.hypot(*np.diff(stream.values[:, :2], axis=0).T)
-    turned = np.abs(wrap_rad(np.diff(stream.values[:, 2])))
+    turned = np.abs(np.angle(np.exp(1j * np.diff(stream.values[:, 2]))))
     # A step over a gap takes longer and may be larger.
     times = np.maximum(np.diff(stream.seconds), float(np.median(np.diff(stream.seconds))))
     jumps = np.zeros(len(moved), dtype=np.bool_)
