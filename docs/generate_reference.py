@@ -26,7 +26,7 @@ from landmark_nav.configuration import Configuration, LIVE, READS
 from landmark_nav.demo.scenario import prepare_room
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.parameters import is_of, leaves, unit_of
-from landmark_nav.storage.robot_files import read_parameters, shipped_config
+from landmark_nav.storage.robot_files import QUANTITIES, read_parameters, shipped_config
 
 # Nodes subscribe to images while they use them.
 _WHILE_NEEDED = {
@@ -319,9 +319,8 @@ def _commands() -> Iterator[str]:
 def _calibration() -> Iterator[str]:
     from landmark_nav.calibration import Calibration, MEANINGS, NAMES, UNITS
     from landmark_nav.geometry.camera import PanTiltMount
-    from landmark_nav.storage.robot_files import _SIGMAS
 
-    fields = {name: field for field, names in _SIGMAS.items() for name in names}
+    fields = {name: f'{field}_sigma' for field, names in QUANTITIES.items() for name in names}
     yield from (
         '# Calibration',
         '',

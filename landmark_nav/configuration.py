@@ -22,8 +22,7 @@ from landmark_nav.learning.unmeasured import UnmeasuredConfig
 from landmark_nav.localization.localizer import LocalizationConfig
 from landmark_nav.localization.triplet.look_around import LookAroundConfig
 from landmark_nav.parameters import changed, Config, leaves, parameter
-from landmark_nav.storage.robot_files import load_odometry, read_parameters
-from landmark_nav.storage.setup_files import load_robot
+from landmark_nav.storage.robot_files import load_odometry, load_robot, read_parameters
 
 _LOG = logging.getLogger(__name__)
 

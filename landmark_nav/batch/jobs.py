@@ -21,7 +21,7 @@ from typing import Any
 
 from landmark_nav.errors import LandmarkNavError, shown, why
 from landmark_nav.signals import tied_to_parent
-from landmark_nav.storage.reading import check_spelling, list_field, name_field, read_yaml_mapping
+from landmark_nav.storage.reading import Entry, read_yaml_mapping
 
 # Commands in the order of a run, and default inputs from earlier commands: option -> sources
 # (command, path in its folder), of which the first available one is used.
@@ -90,14 +90,14 @@ def read_runs(path: Path, version: str) -> list[Run]:
     invalid or holds no run.
     """
     document = _of_folders(path) if '*' in str(path) else read_yaml_mapping(path)
-    check_spelling(document, ('runs', 'grid'), str(path))
+    listed = Entry(document, str(path), ('runs', 'grid'))
     grid = _grid(document.get('grid', {}), str(path))
     runs: dict[str, Run] = {}
-    for number, entry in enumerate(list_field(document, 'runs', str(path)), 1):
+    for number, entry in enumerate(listed.list_of('runs'), 1):
         where = f'{path}: run {number}'
         known = ('name', 'folder', *_SHARED, *COMMANDS)
         if isinstance(entry, Mapping):
-            check_spelling(entry, known, where)
+            Entry(entry, where, known)  # checks the spelling
         if not isinstance(entry, Mapping) or not set(COMMANDS) & set(entry):
             raise LandmarkNavError(f'{where}: names none of {", ".join(COMMANDS)}')
         if strange := [key for key in entry if key not in known]:
@@ -139,7 +139,7 @@ def _grid(given: Any, where: str) -> list[dict[str, Any]]:
         if command not in COMMANDS or not option:
             how = 'write COMMAND.OPTION or COMMAND.config.NAME'
             raise LandmarkNavError(f'{where}: grid: {shown(name)}: {how}')
-    columns = [list_field(given, name, f'{where}: grid') for name in given]
+    columns = [Entry(given, f'{where}: grid').list_of(name) for name in given]
     if math.prod(map(len, columns)) > _MOST_RUNS:
         raise LandmarkNavError(f'{where}: grid has more than {_MOST_RUNS} combinations')
     return [dict(zip(map(str, given), row, strict=True)) for row in product(*columns)]
@@ -147,7 +147,7 @@ def _grid(given: Any, where: str) -> list[dict[str, Any]]:
 
 def _folders(base: Path, entry: Mapping[str, Any], where: str) -> Iterator[Path]:
     """Yield the folders that match `folder` of an entry; relative paths of a run start there."""
-    pattern = name_field(entry, 'folder', where, '.')
+    pattern = Entry(entry, where).name('folder', '.')
     if Path(pattern).is_absolute():
         base, pattern = Path(Path(pattern).anchor), str(Path(pattern).relative_to('/'))
     if '**' in pattern:
@@ -165,8 +165,9 @@ def _run(
 ) -> Run:
     """Build the run of an entry in a folder, with the values of the grid for its commands."""
     values = {name: value for name, value in values.items() if name.partition('.')[0] in entry}
-    name = name_field(entry, 'name', where, '') or folder.resolve().name
-    if name_field(entry, 'folder', where, '.') not in ('.', '') and 'name' in entry:
+    known = Entry(entry, where)
+    name = known.name('name', '') or folder.resolve().name
+    if known.name('folder', '.') not in ('.', '') and 'name' in entry:
         name += f' {folder.name}'
     name += ''.join(f' {key}={value}' for key, value in values.items())
     stages: dict[str, Stage] = {}

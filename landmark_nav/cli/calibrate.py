@@ -27,8 +27,8 @@ from landmark_nav.storage.atomic_io import check_new, check_writable, write_json
 from landmark_nav.storage.bags import Bag, sensor_events
 from landmark_nav.storage.bags.definitions import DRIVE_IMAGES
 from landmark_nav.storage.maps import load_map
-from landmark_nav.storage.robot_files import load_calibration, save_calibration
-from landmark_nav.storage.setup_files import load_room, read_robot
+from landmark_nav.storage.robot_files import load_calibration, read_robot, save_calibration
+from landmark_nav.storage.setup_files import load_room
 from landmark_nav.types import LandmarkMap, Panorama
 
 _LOG = logging.getLogger(__name__)

@@ -114,7 +114,7 @@ def _report(
     narrator.title('Measuring the recording against the ground truth')
     landmarks = load_map(folder / 'map')
     bag, calibration = Bag(folder / 'recording'), load_calibration(folder / 'robot.yaml')
-    measured, run, errors = scenario.figures(scenario.recorded_run(bag), landmarks)
+    measured, run = scenario.figures(scenario.recorded_run(bag), landmarks)
     strip = FrameStrip()
     # Images before the first joint states are not part of the run; their warnings are ignored.
     for event in sensor_events(bag.warning_to(lambda _: None), calibration.mount):
@@ -131,7 +131,7 @@ def _report(
         learned = learn_from_panoramas(swept, room, LearningConfig())
         inputs['room'] = folder / 'room.yaml'
     papers = room.anchors if room else ()
-    page = drive_page(measured, run, errors, landmarks, calibration, strip, papers=papers)
+    page = drive_page(measured, run, landmarks, calibration, strip, papers=papers)
     page['data']['panoramas'] = panoramas(learned)
     write_report(folder / 'report.html', page, 'Demo', command, inputs)
     write_json(folder / 'demo.json', measured)

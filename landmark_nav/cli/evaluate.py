@@ -112,22 +112,22 @@ def run(args: argparse.Namespace) -> int:
         raise LandmarkNavError(f'{error} Else give --start') from error
     if not len(done.truth):
         bag.warn(f'{bag.path}: no ground_truth/odom: the errors stay empty')
-    done, errors, in_frame = run_report.against_truth(done, landmarks)
+    done, in_frame = run_report.against_truth(done, landmarks)
     if not in_frame:
         check_truth_frame(bag, landmarks.frame_id)
-        if other := run_report.other_frame(done, errors):
+        if other := run_report.other_frame(done):
             text = 'ground_truth/odom is in another frame or unit than the map'
             bag.warn(f'{bag.path}: {text}: {other}')
-    if len(done.truth) and np.isnan(errors.fused).all():
+    if len(done.truth) and np.isnan(done.errors.fused).all():
         begin_s, end_s = (1e-9 * done.truth.stamps_ns[k] for k in (0, -1))
         bag.warn(
             f'{bag.path}: ground_truth/odom is from {begin_s:.1f} to {end_s:.1f} s, the drive '
             f'from {1e-9 * done.begin_ns:.1f} s on: the errors stay empty'
         )
     learned = replace(config, odometry=done.odometry_noise)
-    report = run_report.run_report(done, errors, landmarks, calibration, learned) | in_frame
+    report = run_report.run_report(done, landmarks, calibration, learned) | in_frame
     report['checks'] = [finding.report() for finding in diagnosis.findings]
-    report['integrity'] = run_report.integrity_report(done, errors)
+    report['integrity'] = run_report.integrity_report(done)
     smoothed = None
     if args.smooth:
         smoothed = run_report.smooth_run(done, landmarks, calibration, learned)
@@ -144,10 +144,10 @@ def run(args: argparse.Namespace) -> int:
 
         trajectory, drawn_errors = figures_in
         draw_trajectory(done, landmarks, trajectory, smoothed)
-        draw_errors(done, errors, drawn_errors)
+        draw_errors(done, drawn_errors)
     if args.report or args.video:
         known = done.calibration or calibration
-        page = drive_page(report, done, errors, landmarks, known, strip, smoothed)
+        page = drive_page(report, done, landmarks, known, strip, smoothed)
         if args.report:
             title = f'{bag.path.name} on {Path(args.map).name}'
             inputs = {k: getattr(args, k) for k in ('bag', 'map', 'robot', 'config')}

@@ -29,49 +29,33 @@ from landmark_nav.threads import keep_to_one_thread
 # Command -> description and example; the module has the same name.
 COMMANDS = {
     'demo': ('learn, drive and localize with a simulated robot (ROS)', 'demo --out demo'),
-    'learn': (
-        'make a map out of a bag of sweeps',
-        'learn bags/learn --room bags/room.yaml --robot bags/robot.yaml --out map',
-    ),
-    'calibrate': (
-        'a better robot.yaml out of sweeps and drives',
-        'calibrate drive --map map --robot robot.yaml --out better.yaml',
-    ),
+    'learn': ('make a map out of a bag of sweeps',
+              'learn bags/learn --room bags/room.yaml --robot bags/robot.yaml --out map'),
+    'calibrate': ('a better robot.yaml out of sweeps and drives',
+                  'calibrate drive --map map --robot robot.yaml --out better.yaml'),
     'check': ('say what is wrong with a recording', 'check drive --robot robot.yaml --map map'),
-    'evaluate': (
-        'run a drive bag through the localizer and measure its errors',
-        'evaluate bags/drive --map map --robot bags/robot.yaml --report run.html',
-    ),
+    'evaluate': ('run a drive bag through the localizer and measure its errors',
+                 'evaluate bags/drive --map map --robot bags/robot.yaml --report run.html'),
     'panorama': ('make a panorama out of a sweep', 'panorama sweep --out panorama.png'),
-    'plan': (
-        'propose where to take panoramas',
-        'plan --room room.yaml --robot robot.yaml --positions 3 --out plan.yaml',
-    ),
-    'simulate': (
-        'write bags of simulated sweeps and drives',
-        'simulate --out room --seed 7 --light-change',
-    ),
-    'convert': (
-        'make a bag and a map of the log of another project',
-        'convert mrclam MRCLAM_Dataset1 --robot 1 --out mrclam',
-    ),
+    'plan': ('propose where to take panoramas',
+             'plan --room room.yaml --robot robot.yaml --positions 3 --out plan.yaml'),
+    'simulate': ('write bags of simulated sweeps and drives',
+                 'simulate --out room --seed 7 --light-change'),
+    'convert': ('make a bag and a map of the log of another project',
+                'convert mrclam MRCLAM_Dataset1 --robot 1 --out mrclam'),
     'play': ('play a bag onto topics with /clock (ROS)', 'play bags/drive --rate 2'),
     'up': ('start all nodes, with a simulated robot if need be (ROS)', 'up --sim'),
     'call': ('call a service of the nodes (ROS)', 'call learn_landmarks'),
     'drive': ('drive the robot by keys (ROS)', 'drive'),
     'status': ('print how the nodes are (ROS)', 'status'),
-    'batch': (
-        'many recordings at once, one table',
-        'batch jobs.yaml --out results --against earlier',
-    ),
+    'batch': ('many recordings at once, one table',
+              'batch jobs.yaml --out results --against earlier'),
     'map': ('list, check, compare, join maps', 'map show map'),
     'figures': ('draw the figures of Livatino and Madsen from own data', 'figures --out figures'),
     'bench': ('time every stage beside a reference', 'bench --json bench.json'),
-    'completion': (
-        'print what makes a shell complete commands',
-        'completion bash >> ~/.bash_completion',
-    ),
-}
+    'completion': ('print what makes a shell complete commands',
+                   'completion bash >> ~/.bash_completion'),
+}  # fmt: skip
 
 # Options that name output files.
 _OUTPUTS = {'out', 'json', 'report', 'tum', 'video', 'walls_out'}

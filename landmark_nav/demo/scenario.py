@@ -167,23 +167,21 @@ class Check:
     text: str
 
 
-def figures(
-    run: Replay, landmarks: LandmarkMap
-) -> tuple[dict[str, Any], Replay, run_report.RunErrors]:
+def figures(run: Replay, landmarks: LandmarkMap) -> tuple[dict[str, Any], Replay]:
     """
-    Return figures with the keys of ``landmark-nav evaluate --json``, the run and its errors.
+    Return figures with the keys of ``landmark-nav evaluate --json``, and the run.
 
     For a map with its own frame, errors are computed after alignment, and the returned run is in
     the scale of the map.
     """
     walls = len({landmark.wall_id for landmark in landmarks.landmarks} - {''})
     of_run: dict[str, Any] = {'spells': run_report.spells(run), 'walls': walls}
-    run, errors, in_frame = run_report.against_truth(run, landmarks)
+    run, in_frame = run_report.against_truth(run, landmarks)
     if in_frame:
         of_run['scale_sigma'] = float(landmarks.provenance['scale_sigma'])
     else:
-        of_run['integrity'] = run_report.integrity_report(run, errors)
-    return run_report.pose_report(run, errors, landmarks) | of_run | in_frame, run, errors
+        of_run['integrity'] = run_report.integrity_report(run)
+    return run_report.pose_report(run, landmarks) | of_run | in_frame, run
 
 
 def judge(measured: dict[str, Any]) -> list[Check]:

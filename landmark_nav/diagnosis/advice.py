@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from landmark_nav.diagnosis.camera_errors import CameraError
-from landmark_nav.diagnosis.causes import ALIKE, Cause, CLOCKS, Verdict
+from landmark_nav.diagnosis.causes import Cause, CLOCKS, Verdict
 from landmark_nav.diagnosis.findings import Finding, Level
-from landmark_nav.diagnosis.motion import Estimate, IMAGES, JOINTS, Linear, Motion, ODOMETRY
+from landmark_nav.diagnosis.motion import ALIKE, Estimate, IMAGES, JOINTS, Linear, Motion, ODOMETRY
 from landmark_nav.diagnosis.odometry import nearness_of_room, unit_of
 from landmark_nav.geometry.walls import Room
 
@@ -333,10 +333,9 @@ def _clock(stream: str, late: Estimate) -> Finding:
         return Finding(f'{stream} clock', 'ok', 'not judged by motion: it hardly moves')
     text = f'{1e3 * late.value:+.0f} ms against the images (sigma {1e3 * late.sigma:.0f} ms)'
     values = {'late_s': late.value, 'sigma_s': late.sigma}
-    if late.beyond(0.05, 0.1):
-        advice = 'stamp at the time of measurement'
-        return Finding(f'{stream} clock', 'warning', text, advice, values)
-    return Finding(f'{stream} clock', 'ok', text, '', values)
+    wrong, advice = late.beyond(0.05, 0.1), 'stamp at the time of measurement'
+    level: Level = 'warning' if wrong else 'ok'
+    return Finding(f'{stream} clock', level, text, advice if wrong else '', values)
 
 
 def _unit(slopes: Linear, room: Room | None) -> list[Finding]:

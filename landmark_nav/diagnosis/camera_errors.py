@@ -24,6 +24,7 @@ import numpy.typing as npt
 from scipy.optimize import minimize, minimize_scalar
 
 from landmark_nav.arrays import FloatArray, ImageArray, IndexArray
+from landmark_nav.diagnosis.motion import ALIKE, CERTAIN, FREEDOM
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
@@ -32,8 +33,8 @@ from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 _WIDTH, _MOST_CORNERS = 320, 400
 # Greatest distance of inliers from the homography, pixels; outliers are mismatches or very near.
 _APART_PX, _LEAST_MATCHES = 6.0, 12
-# Degrees of freedom of Student's t, and iterations of the fit.
-_FREEDOM, _ITERATIONS = 3.0, 8
+# Iterations of the fit.
+_ITERATIONS = 8
 # Least sigma of tracked points.
 _LEAST_SIGMA_PX = 0.1
 # Effective number of independent matches of a pair, as their depths are correlated.
@@ -47,9 +48,6 @@ _SPARSE = 8
 _LEAST_PAIRS = 10
 # Greatest range of a constant tilt.
 _LEVEL_RAD = 0.02
-# Scores within the first difference are equivalent; an error exceeds the score without errors by
-# the second.
-_ALIKE, _CERTAIN = 5.0, 12.0
 # Least gain of an error over its standard error by the pairs; least spread of gains.
 _SIGNIFICANT, _NO_SPREAD = 3.0, 1e-9
 
@@ -223,7 +221,7 @@ def camera_error(matches: Matches, setup: CameraSetup) -> CameraError | None:
     none = _score(matches, setup)
     level = replace(matches, tilts_rad=np.zeros_like(matches.tilts_rad))
     moving = np.ptp(matches.tilts_rad) > _LEVEL_RAD
-    if moving and (without := _score(level, setup)) > none + _CERTAIN:
+    if moving and (without := _score(level, setup)) > none + CERTAIN:
         matches, none = level, without  # the tilt is that of another joint
     # Small angles that were fitted with the error in place may be wrong: the search starts from
     # both setups, and the fitted one pays for its angles (Schwarz, Estimating the dimension of a
@@ -238,7 +236,7 @@ def camera_error(matches: Matches, setup: CameraSetup) -> CameraError | None:
         found[name] = max(scored, key=lambda pair: pair[1])
     name = max(found, key=lambda key: found[key][1])
     best, score = found[name]
-    if score < none + _CERTAIN:
+    if score < none + CERTAIN:
         return None
     value, _ = _best(matches, given, _ERRORS[name], -np.inf)
     # Pairs differ in the depths of what they see: their gains in likelihood say how sure it is
@@ -250,7 +248,7 @@ def camera_error(matches: Matches, setup: CameraSetup) -> CameraError | None:
     least = np.min(gains.mean(axis=1) / spread) * np.sqrt(len(scores))
     if abs(value) < _MATTERS or not least >= _SIGNIFICANT:
         return None
-    also = tuple(key for key in found if key != name and found[key][1] > score - _ALIKE)
+    also = tuple(key for key in found if key != name and found[key][1] > score - ALIKE)
     return CameraError(name, value, _ERRORS[name].change(given, value), also)
 
 
@@ -326,7 +324,7 @@ def _scores(matches: Matches, setup: CameraSetup) -> FloatArray:
     least = _LEAST_SIGMA_PX * np.exp(0.5 * log_area)
     sigma = np.maximum(np.median(np.abs(moved), axis=0), least)
     for _ in range(_ITERATIONS):
-        weights = (_FREEDOM + 1.0) / (_FREEDOM + (residuals / sigma) ** 2)
+        weights = (FREEDOM + 1.0) / (FREEDOM + (residuals / sigma) ** 2)
         weighted = (weights / sigma**2)[..., None]
         flat = (weighted * squares).reshape(len(k), 18)
         information = _sums(flat, matches.begins).reshape(-1, 2, 3, 3).sum(1)
@@ -337,7 +335,7 @@ def _scores(matches: Matches, setup: CameraSetup) -> FloatArray:
         local = np.linalg.solve(information, right[..., None])[..., 0]
         residuals = moved - np.einsum('nri,ni->nr', columns, local[k])
         sigma = np.maximum(np.sqrt(np.mean(weights * residuals**2, axis=0)), least)
-    each = -np.log(sigma) - 0.5 * (_FREEDOM + 1.0) * np.log1p((residuals / sigma) ** 2 / _FREEDOM)
+    each = -np.log(sigma) - 0.5 * (FREEDOM + 1.0) * np.log1p((residuals / sigma) ** 2 / FREEDOM)
     share = 0.5 * _INDEPENDENT * (k[-1] + 1) / len(k)
     return np.asarray(share * _sums(each.sum(1) + log_area, matches.begins))
 

@@ -16,6 +16,8 @@ from scipy.optimize import minimize, minimize_scalar
 
 from landmark_nav.arrays import FloatArray
 from landmark_nav.diagnosis.motion import (
+    ALIKE,
+    CERTAIN,
     Clock,
     driven_again,
     explained,
@@ -31,9 +33,6 @@ from landmark_nav.diagnosis.motion import (
     Track,
 )
 
-# Scores within the first difference are equivalent; a fault exceeds the score without faults by
-# the second.
-ALIKE, _CERTAIN = 5.0, 12.0
 # Scales that are tried: reversed sign, gears, degrees, no motion.
 _SCALES = (-1.0, 0.5, 2.0, -0.5, -2.0, np.pi / 180.0, -np.pi / 180.0, 180.0 / np.pi, 0.0)
 # Greatest factor between the true and the given focal length.
@@ -128,7 +127,7 @@ def verdict(
     found += _scales(motion)
     found += _clocks(motion, clocks or {})
     best = max(found, key=lambda cause: cause.score)
-    if best.score < none.score + _CERTAIN or not linear(best.motion).quiet:
+    if best.score < none.score + CERTAIN or not linear(best.motion).quiet:
         best = none
     alike = [c for c in found if c.score > best.score - ALIKE]
     delayed = (IMAGES, *CLOCKS), (JOINTS, 'filter')

@@ -13,7 +13,7 @@ from landmark_nav.diagnosis.causes import verdict
 from landmark_nav.diagnosis.drives import DriveChecks, THOROUGH
 from landmark_nav.diagnosis.findings import Delays, Diagnosis, Finding
 from landmark_nav.diagnosis.looks import look_corrected, Looks
-from landmark_nav.diagnosis.motion import linear, Motion, Track
+from landmark_nav.diagnosis.motion import LEAST_PAIRS, linear, Motion, Track
 from landmark_nav.diagnosis.parts import check_content, moved_between
 from landmark_nav.diagnosis.stamps import check_stamps
 from landmark_nav.diagnosis.streams import pan_stream, read_stream, unwrapped
@@ -25,8 +25,6 @@ from landmark_nav.storage.bags import Bag, read_sweeps
 from landmark_nav.storage.bags.definitions import DRIVE_IMAGES, SWEEP_IMAGES
 from landmark_nav.storage.bags.sweeps import measured_pans
 
-# Least number of pairs of images from which motion is judged.
-_LEAST_PAIRS = 12
 # Greatest factor of focal length or pan that calibration corrects in a sweep; its logarithm is the
 # bound of angles, rad.
 _CALIBRATED = 1.2
@@ -54,7 +52,7 @@ def check_sweeps(bag: Bag, images: str, known: Calibration, most_images: int) ->
     sense = mount.pan_sense * (1.0 + known['pan_scale'][0])
     pan = Track.of(1e-9 * (stamps - bag.start_ns), sense * unwrapped(pans)[:, None])
     motion = _motion(looks, pan, 1)
-    if len(motion) < _LEAST_PAIRS:
+    if len(motion) < LEAST_PAIRS:
         return found
     slopes = linear(motion)
     if slopes.fits:
@@ -76,7 +74,7 @@ def _each(motion: Motion) -> list[Finding]:
     found = []
     for k, part in enumerate(parts if len(parts) > 1 else (), start=1):
         sweep = motion.only(np.isin(np.arange(len(motion)), part))
-        if len(part) < _LEAST_PAIRS or linear(sweep).fits:
+        if len(part) < LEAST_PAIRS or linear(sweep).fits:
             continue
         for finding in cause_findings(verdict(sweep)):
             found.append(replace(finding, measured=f'sweep {k}: {finding.measured}'))
@@ -87,9 +85,7 @@ def _motion(looks: Looks, pan: Track, *apart: int) -> Motion:
     """Pan, and turns between images that are `apart` apart."""
     pairs = []
     for step in apart:
-        firsts = np.array([k for k in looks.strips if k + step in looks.strips], dtype=np.intp)
-        first, second = looks.stream.seconds[np.stack([firsts, firsts + step])]
-        turns = np.array([looks.compared(k, k + step)[0] for k in firsts.tolist()])
+        first, second, turns = looks.turns(looks.pairs(step))
         good = np.isfinite(turns) & (second > first)
         # The robot moves between sweeps.
         good &= second - first < 3.0 * float(np.median(second - first)) if len(first) else good

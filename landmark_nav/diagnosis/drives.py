@@ -19,6 +19,7 @@ from landmark_nav.diagnosis.motion import (
     Clock,
     IMAGES,
     JOINTS,
+    LEAST_PAIRS,
     Linear,
     linear,
     Motion,
@@ -43,8 +44,6 @@ from landmark_nav.storage.bags import Bag
 
 # Number of images that are decoded if fewer show a fault.
 THOROUGH = 600
-# Least number of pairs of images from which motion is judged.
-_LEAST_PAIRS = 12
 # Share of the images in the time of a stream below which its clock is a different one.
 _COVERED = 0.1
 # Least offset of a clock that times of recording show.
@@ -158,14 +157,15 @@ class DriveChecks:
         if any(len(stream) < 2 for stream in (images, *streams)):
             return found, Delays(), True
         hints = stamps.clock_hints(images, dict(zip((JOINTS, ODOMETRY), streams, strict=False)))
-        logged = looks.stream.logged_ns[looks.pairs]
-        before, after = looks.stream.seconds[looks.pairs.T]
-        chosen = looks.pairs[((logged >= first) & (logged <= last)).all(1) & (after > before)]
+        chosen = looks.pairs()
+        logged, stamps_s = looks.stream.logged_ns[chosen], looks.stream.seconds[chosen]
+        within = ((logged >= first) & (logged <= last)).all(1)
+        chosen = chosen[within & (stamps_s[:, 1] > stamps_s[:, 0])]
         pairs = self._motion(looks, chosen, streams)
         if (mixed := parts.alternating_images(looks, pairs)) is not None:
             return [*found, mixed], Delays(), True
         motion = pairs.only(np.isfinite(pairs.turns_rad))
-        if len(motion) < _LEAST_PAIRS:
+        if len(motion) < LEAST_PAIRS:
             text = f'{len(motion)} pairs of images show how the camera turned: too few to judge'
             found.append(Finding('image motion', 'ok', text))
             return [*found, *_clocks_by_log(motion, hints, None)], Delays(), True
@@ -176,7 +176,7 @@ class DriveChecks:
             if (odd := part(motion)) is not None:
                 found.append(odd[0])
                 motion = odd[1]
-        if len(motion) < _LEAST_PAIRS:
+        if len(motion) < LEAST_PAIRS:
             return found, Delays(), False
         if (frozen := parts.frozen_values(motion)) is not None:
             finding, motion = frozen
@@ -271,8 +271,6 @@ class DriveChecks:
         return [Finding('ground_truth clock', 'warning', text, advice, {'late_s': late})]
 
     def _motion(self, looks: Looks, pairs: IndexArray, streams: Sequence[Stream]) -> Motion:
-        before, after = looks.stream.seconds[pairs.T]
-        turns = np.array([looks.compared(*pair)[0] for pair in pairs.tolist()])
         sense = self._mount.pan_sense * (1.0 + self._known['pan_scale'][0])
         joint_times = streams[0].seconds - self._known['joint_delay'][0]
         pan = Track.of(joint_times, sense * _angles(streams[0]))
@@ -281,7 +279,7 @@ class DriveChecks:
         levers = mount.axis_xyz[:2], mount.optical_center_offset[:2]
         hangs = mount.pan_sense * np.cos(mount.camera_roll_rad) < 0.0
         ahead_rad = float(mount.azimuth_base_rad(0.0))
-        return Motion(before, after, turns, pan, odometry, *levers, ahead_rad, hangs)
+        return Motion(*looks.turns(pairs), pan, odometry, *levers, ahead_rad, hangs)
 
 
 def _without(found: list[Finding], names: str | tuple[str, ...]) -> list[Finding]:

@@ -22,12 +22,12 @@ from landmark_nav.diagnosis.camera_errors import (
     Matches,
 )
 from landmark_nav.diagnosis.findings import Finding, Level
-from landmark_nav.diagnosis.streams import Row, Stream, stream_of
+from landmark_nav.diagnosis.streams import Row, row_of, Stream, stream_of
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.matching.strips import Strip, StripView, without_cover
 from landmark_nav.messages import decode
-from landmark_nav.storage.bags import Bag, BagMessage
+from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.bags.reader import MessageFilter
 from landmark_nav.storage.bags.timelines import CameraInfos, JointHistory
 from landmark_nav.types import JointSample
@@ -50,15 +50,13 @@ class Looks:
     """
     Images of a bag: their stamps, and by index of the image what was measured in decoded ones.
 
-    `pairs` (n, 2) are consecutive images that were both decoded. `small` are images in grey, 12 x
-    16 pixels; `sharpness` is the contrast of fine details over that of coarse ones, about 0.5 in
-    focus; `points` are pixels (m, 2) in an image and in the next one. `findings` are those of
-    encoding, size and lens; `view` is None if no image could be used. Images of other intrinsics
-    than those of the first, `camera`, are resampled to these.
+    `small` are images in grey, 12 x 16 pixels; `sharpness` is the contrast of fine details over
+    that of coarse ones, about 0.5 in focus; `points` are pixels (m, 2) in an image and in the next
+    one. `findings` are those of encoding, size and lens; `view` is None if no image could be used.
+    Images of other intrinsics than those of the first, `camera`, are resampled to these.
     """
 
     stream: Stream
-    pairs: IndexArray
     findings: tuple[Finding, ...]
     strips: dict[int, Strip]
     small: dict[int, ImageArray]
@@ -66,6 +64,16 @@ class Looks:
     view: StripView | None
     camera: CameraModel | None
     points: dict[int, tuple[FloatArray, FloatArray]]
+
+    def pairs(self, apart: int = 1) -> IndexArray:
+        """Indices (n, 2) of images that are `apart` apart and were both decoded."""
+        found = [(k, k + apart) for k in self.strips if k + apart in self.strips]
+        return np.array(found, np.intp).reshape(-1, 2)
+
+    def turns(self, pairs: IndexArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Times (n,) of both images of pairs (n, 2), s, and the turns between them, rad."""
+        before, after = self.stream.seconds[pairs.T]
+        return before, after, np.array([self.compared(*pair)[0] for pair in pairs.tolist()])
 
     def compared(self, first: int, second: int) -> tuple[float, float]:
         """Turn between two images, rad, and their correlation; NaN if unknown."""
@@ -111,7 +119,7 @@ def look(
     points: dict[int, tuple[FloatArray, FloatArray]] = {}
     before: Corners | None = None
     for entry in bag.messages([topic]):
-        index, row = len(rows), stamped.take(_row, entry)
+        index, row = len(rows), stamped.take(row_of, entry)
         if row is None:
             continue
         rows.append(row)
@@ -142,20 +150,12 @@ def look(
         except LandmarkNavError as error:
             failed.append(str(error).removeprefix(f'{bag.path}: '))
     strips = dict(zip(strips, without_cover(list(strips.values())), strict=True))
-    pairs = np.array([(k, k + 1) for k in strips if k + 1 in strips], np.intp).reshape(-1, 2)
     # In image widths: a driver may change the size.
     focal = [lens.fx / lens.width for lens in lenses] or [1.0]
     of_lens = *_lens(camera), *_zoom(max(focal) / min(focal))
     findings = (*refused, *_encoding(failed, kinds, len(chosen)), *of_lens)
     stream = stream_of(bag, 'images', topic, rows, stamped.complaints)
-    return Looks(stream, pairs, findings, strips, small, sharpness, view, camera, points)
-
-
-def _row(entry: BagMessage) -> Row:
-    """Stamps and frame of an image; `LandmarkNavError` if it has no valid stamp."""
-    header = entry.message.header
-    stamp, unstamped = decode.stamp_ns(header), entry.header_ns == 0
-    return Row(stamp, entry.stamp_ns, str(header.frame_id), np.empty(0), unstamped)
+    return Looks(stream, findings, strips, small, sharpness, view, camera, points)
 
 
 def _resampled(image: ImageArray, seen_by: CameraModel, camera: CameraModel) -> ImageArray:

@@ -29,6 +29,11 @@ from landmark_nav.arrays import BoolArray, FloatArray
 IMAGES, JOINTS, ODOMETRY, MOUNT = 'images', 'joint_states', 'odom', 'pan_axis'
 # Degrees of freedom of Student's t.
 FREEDOM = 3.0
+# Least number of pairs of images from which motion is judged.
+LEAST_PAIRS = 12
+# Scores within the first difference are equivalent; a fault exceeds the score without faults by
+# the second.
+ALIKE, CERTAIN = 5.0, 12.0
 _ITERATIONS = 25
 # Bounds of the noise of images: greatest scale; greatest share of residuals beyond these sigmas.
 NOISE_RAD = 0.02

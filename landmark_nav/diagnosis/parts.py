@@ -14,6 +14,7 @@ from landmark_nav.diagnosis.motion import (
     explained,
     fit,
     JOINTS,
+    LEAST_PAIRS,
     Motion,
     NOISE_RAD,
     ODOMETRY,
@@ -35,7 +36,6 @@ _SOME, _MOST_BLANK = 0.1, 0.9
 # while the pan turns by more than the second; a single repeated image does not turn at all.
 _STILL_RAD, _TURNING_RAD, _MOST_STILL = 1e-3, 0.03, 0.9
 _SAME_RAD = 1e-7
-_LEAST_PAIRS = 12
 # Share of the time between two images in which a value is constant; least number of such pairs.
 _ALL, _STAYS_PAIRS = 0.99, 6
 # Least turn in as many other pairs: otherwise the value is that of another joint.
@@ -79,7 +79,7 @@ def _blank_images(looks: Looks) -> Finding | None:
 
 def _blurred_images(looks: Looks) -> Finding | None:
     sharp = [value for value in looks.sharpness.values() if value > 0.0]
-    usual = float(np.median(sharp)) if len(sharp) >= _LEAST_PAIRS else _BLURRED
+    usual = float(np.median(sharp)) if len(sharp) >= LEAST_PAIRS else _BLURRED
     if usual >= _BLURRED:
         return None
     text = f'fine details have {100.0 * usual:.1f} % of the contrast of coarse ones: out of focus'
@@ -89,7 +89,7 @@ def _blurred_images(looks: Looks) -> Finding | None:
 
 def _covered_images(looks: Looks) -> Finding | None:
     small = np.array(list(looks.small.values()), dtype=np.float64)
-    if len(small) < _LEAST_PAIRS:
+    if len(small) < LEAST_PAIRS:
         return None
     spread = small.std(axis=0)
     x, y = np.meshgrid(*(np.linspace(-1.0, 1.0, n) for n in spread.shape[::-1]))
@@ -115,7 +115,7 @@ def _flickering_images(looks: Looks) -> Finding | None:
     # Second differences ignore a trend, as when the camera turns towards a window.
     firsts = [k for k in light if k + 1 in light and k + 2 in light]
     bends = [0.5 * abs(light[k] - 2.0 * light[k + 1] + light[k + 2]) for k in firsts]
-    usual = float(np.median(bends)) if len(bends) >= _LEAST_PAIRS else 0.0
+    usual = float(np.median(bends)) if len(bends) >= LEAST_PAIRS else 0.0
     if usual < _FLICKERS:
         return None
     factor = float(np.exp(usual))
@@ -128,7 +128,7 @@ def repeated_images(motion: Motion) -> Finding | None:
     """Find images that do not turn though the pan does; None if there are few."""
     turning, turns = np.abs(motion.panned()) > _TURNING_RAD, np.abs(motion.turns_rad)
     still = turning & (turns < _SAME_RAD)
-    if turning.sum() < _LEAST_PAIRS:
+    if turning.sum() < LEAST_PAIRS:
         return None
     if np.mean(turns < _STILL_RAD) > _MOST_STILL:
         text = 'images stay the same while joint_states turn'
@@ -157,7 +157,7 @@ def alternating_images(looks: Looks, motion: Motion) -> Finding | None:
     ]
     first, second, across = np.array(alike).reshape(-1, 3).T
     odd = across > np.maximum(first, second) + _ALIKE
-    if len(odd) < _LEAST_PAIRS or odd.mean() < _MOST_STRANGE:
+    if len(odd) < LEAST_PAIRS or odd.mean() < _MOST_STRANGE:
         return None
     text = f'{odd.sum()} of {len(odd)} images are like the one before the last, not like the last'
     advice = 'two cameras, or two settings of one, come in turns: stop one, or remap it'
@@ -175,7 +175,7 @@ def strange_images(motion: Motion, width_rad: float) -> Finding | None:
     shared = np.abs(motion.panned() + motion.yawed()) < _SHARED * width_rad
     matched = np.abs(motion.unexplained()) < _STRANGE_RAD
     pairs, strange = int(shared.sum()), int((shared & ~matched).sum())
-    if pairs < _LEAST_PAIRS or strange < _MOST_STRANGE * pairs:
+    if pairs < LEAST_PAIRS or strange < _MOST_STRANGE * pairs:
         return None
     text = f'{strange} of {pairs} images show other things than the one before'
     advice = 'see that no second camera publishes there, and that they come in order'
@@ -189,7 +189,7 @@ def frozen_values(motion: Motion) -> tuple[Finding, Motion] | None:
     for stream, what in ((JOINTS, 'the pan'), (ODOMETRY, 'its pose')):
         inside, by_stream = _unchanged(motion, stream) > _ALL, motion.turned(stream)
         works = np.abs(by_stream[~inside]) > _WORKS_RAD
-        if min(inside.sum(), works.sum()) < _STAYS_PAIRS or (~inside).sum() < _LEAST_PAIRS:
+        if min(inside.sum(), works.sum()) < _STAYS_PAIRS or (~inside).sum() < LEAST_PAIRS:
             continue
         rest = fit(left[~inside], sideways[~inside])
         off = np.abs(left - sideways @ rest.values) > max(_OFF_RAD, _OFF_SIGMAS * rest.noise_rad)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -83,20 +83,21 @@ class Row(NamedTuple):
     unstamped: bool
 
 
+def row_of(entry: BagMessage, values: Values = lambda _: np.empty(0)) -> Row:
+    """Row of a message; `LandmarkNavError` if its stamp or `values` cannot be read."""
+    message = entry.message
+    child = getattr(message, 'child_frame_id', '')
+    frame = f'{message.header.frame_id}{" -> " if child else ""}{child}'
+    try:
+        stamp, measured = decode.stamp_ns(message.header), values(message)
+    except (TypeError, ValueError, IndexError) as error:
+        raise LandmarkNavError(f'not as its type should be: {error}') from error
+    return Row(stamp, entry.stamp_ns, frame, measured, entry.header_ns == 0)
+
+
 def _rows(bag: Bag, topic: str, values: Values) -> tuple[list[Row], list[str]]:
     """Read the messages of a topic; return the usable ones, and why others are refused."""
-    messages = MessageFilter(bag, topic)
-
-    def row(entry: BagMessage) -> Row:
-        message = entry.message
-        child = getattr(message, 'child_frame_id', '')
-        frame = f'{message.header.frame_id}{" -> " if child else ""}{child}'
-        try:
-            stamp, measured = decode.stamp_ns(message.header), values(message)
-        except (TypeError, ValueError, IndexError) as error:
-            raise LandmarkNavError(f'not as its type should be: {error}') from error
-        return Row(stamp, entry.stamp_ns, frame, measured, entry.header_ns == 0)
-
+    messages, row = MessageFilter(bag, topic), partial(row_of, values=values)
     rows = [messages.take(row, entry) for entry in bag.messages([topic])]
     return [row for row in rows if row is not None], messages.complaints
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 import time
 
 import numpy as np
@@ -12,7 +13,7 @@ import numpy.typing as npt
 from landmark_nav.arrays import IntArray
 from landmark_nav.calibration import Calibration
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.evaluation.metrics import PoseTrack
+from landmark_nav.evaluation.metrics import pose_errors, PoseTrack
 from landmark_nav.geometry import se2
 from landmark_nav.localization.estimator.integrity import Status
 from landmark_nav.localization.localizer import LocalizationConfig, LocalizationUpdate, Localizer
@@ -64,6 +65,15 @@ def shifts_by_odometry(
     early = -2 * ahead > np.where(back[following] > 0, back[following], np.inf)
     late = 2 * ahead > np.where(stepped > 0, back[stepped], np.inf)
     return shift[np.where(early, following, np.where(late, stepped - 1, last))]
+
+
+@dataclass(frozen=True, eq=False)
+class RunErrors:
+    """Errors (n, 3) at the images against the truth; NaN if one of both is unknown."""
+
+    fused: FloatArray
+    triangulation: FloatArray
+    odometry: FloatArray
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,6 +136,12 @@ class Replay:
         fixes = [update.observation.fix for update in self.updates]
         poses = [fix.pose if isinstance(fix, PoseEstimate) else none for fix in fixes]
         return np.array(poses).reshape(-1, 3)
+
+    @cached_property
+    def errors(self) -> RunErrors:
+        """Errors of the fused, the triangulated and the dead reckoned poses."""
+        truth, odometry = self.truth.at(self.stamps_ns), self.odometry.at(self.stamps_ns)
+        return RunErrors(*(pose_errors(k, truth) for k in (self.fused, self.fixes, odometry)))
 
     @property
     def lost(self) -> npt.NDArray[np.bool_]:

@@ -37,27 +37,8 @@ _NOISE = ('along_m_per_sqrt_m', 'turn_rad_per_sqrt_m', 'turn_rad_per_sqrt_rad', 
 _MOSTLY = 0.5
 
 
-@dataclass(frozen=True, eq=False)
-class RunErrors:
-    """Errors (n, 3) at the images against the truth; NaN if one of both is unknown."""
-
-    fused: FloatArray
-    triangulation: FloatArray
-    odometry: FloatArray
-
-
-def run_errors(run: Replay) -> RunErrors:
-    """Errors of the fused, the triangulated and the dead reckoned poses."""
-    truth, odometry = run.truth.at(run.stamps_ns), run.odometry.at(run.stamps_ns)
-    return RunErrors(*(pose_errors(poses, truth) for poses in (run.fused, run.fixes, odometry)))
-
-
 def run_report(
-    run: Replay,
-    errors: RunErrors,
-    landmark_map: LandmarkMap,
-    calibration: Calibration,
-    config: LocalizationConfig,
+    run: Replay, landmark_map: LandmarkMap, calibration: Calibration, config: LocalizationConfig
 ) -> dict[str, Any]:
     """
     Metrics of a run with this prior calibration, by the keys of the contract.
@@ -70,12 +51,12 @@ def run_report(
     median_ms, p95_ms = (1e3 * np.percentile(run.update_seconds, (50, 95))).tolist()
     stamps = run.stamps_ns
     span_s = 1e-9 * float(max(stamps[-1], run.odometry.stamps_ns[-1]) - run.begin_ns)
-    of_poses = pose_report(run, errors, landmark_map, bound.independent)
+    of_poses = pose_report(run, landmark_map, bound.independent)
     available = of_poses['availability']
     after_s = 1e-9 * float(run.start.stamp_ns - run.begin_ns)
     return {
         **of_poses,
-        'crlb_ratio': metrics.crlb_ratio(errors.fused, bound.covariances),
+        'crlb_ratio': metrics.crlb_ratio(run.errors.fused, bound.covariances),
         'update_ms': {'median': median_ms, 'p95': p95_ms},
         'realtime_factor': span_s / run.seconds,
         'result_hash': metrics.result_hash(stamps, run.fused, run.fixes),
@@ -102,7 +83,7 @@ def bound_of(
 
 
 def pose_report(
-    run: Replay, errors: RunErrors, landmark_map: LandmarkMap, independent: float = np.nan
+    run: Replay, landmark_map: LandmarkMap, independent: float = np.nan
 ) -> dict[str, Any]:
     """
     Metrics that depend on the poses of a run only; ``claimed`` are their sigmas.
@@ -110,9 +91,8 @@ def pose_report(
     `independent` is that of `metrics.Bound`; without it there is no interval of NEES.
     """
     images = len(run.searched) + len(run.updates)
-    nees = metrics.consistency(errors.fused, run.fused_covariances)
-    mean, inside_95 = nees or (None, None)
-    known = nees is not None and np.isfinite(independent)
+    nees = _nees(run.errors.fused, run.fused_covariances)
+    known = nees['mean'] is not None and np.isfinite(independent)
     sigma = np.sqrt(np.diagonal(run.fused_covariances, axis1=1, axis2=2))
     sigma_m = np.hypot(sigma[:, 0], sigma[:, 1])
     return {
@@ -121,29 +101,36 @@ def pose_report(
         'fixes': int(np.sum(np.isfinite(run.fixes[:, 0]))),
         'availability': float(np.sum(~run.lost)) / images,
         'landmarks': len(landmark_map.landmarks),
-        **{name: metrics.error_summary(getattr(errors, name)) for name in _ESTIMATES},
-        'nees': {
-            'mean': mean,
-            'inside_95': inside_95,
-            'interval_95': list(metrics.nees_interval_95(independent)) if known else None,
-        },
+        **_summaries(run),
+        'nees': nees
+        | {'interval_95': list(metrics.nees_interval_95(independent)) if known else None},
         'claimed': {
             'position_median_m': float(np.median(sigma_m)),
             'position_p95_m': float(np.percentile(sigma_m, 95)),
             'heading_median_deg': float(np.degrees(np.median(sigma[:, 2]))),
         },
-        'silently_wrong': _undetected(run, errors),
+        'silently_wrong': _undetected(run),
     }
 
 
-def _undetected(run: Replay, errors: RunErrors) -> int | None:
+def _summaries(run: Replay) -> dict[str, Any]:
+    """Metrics of the errors of each estimate."""
+    return {name: error_summary(getattr(run.errors, name)) for name in _ESTIMATES}
+
+
+def _nees(errors: FloatArray, covariances: FloatArray) -> dict[str, Any]:
+    mean, inside_95 = consistency(errors, covariances) or (None, None)
+    return {'mean': mean, 'inside_95': inside_95}
+
+
+def _undetected(run: Replay) -> int | None:
     """Images that are off by over 5 sigma while the state is OK; None without ground truth."""
-    known = len(run.truth) > 0
-    off, covariances = errors.fused, run.fused_covariances
-    return metrics.undetected_failures(off, covariances, run.tracking) if known else None
+    if not len(run.truth):
+        return None
+    return metrics.undetected_failures(run.errors.fused, run.fused_covariances, run.tracking)
 
 
-def integrity_report(run: Replay, errors: RunErrors) -> dict[str, Any] | None:
+def integrity_report(run: Replay) -> dict[str, Any] | None:
     """
     Check the protection levels of a run; None without levels or ground truth.
 
@@ -151,20 +138,21 @@ def integrity_report(run: Replay, errors: RunErrors) -> dict[str, Any] | None:
     smallest to the largest level of the position; `undetected_wrong` counts images that are off by
     over 5 sigma while the state is OK.
     """
+    errors = run.errors.fused
     levels = [(k, update.level) for k, update in enumerate(run.updates) if update.level]
-    levels = [(k, level) for k, level in levels if np.isfinite(errors.fused[k]).all()]
+    levels = [(k, level) for k, level in levels if np.isfinite(errors[k]).all()]
     if not levels:
         return None
     which = [k for k, _ in levels]
     level = np.array([tuple(each) for _, each in levels])
-    off = np.column_stack([np.hypot(*errors.fused[which, :2].T), np.abs(errors.fused[which, 2])])
+    off = np.column_stack([np.hypot(*errors[which, :2].T), np.abs(errors[which, 2])])
     inside = np.asarray((off <= level).all(axis=1))
     quarters = np.array_split(inside[np.argsort(level[:, 0], kind='stable')], 4)
     return {
         'coverage_99': float(inside.mean()),
         'coverage_99_by_quarter': [float(part.mean()) for part in quarters if len(part)],
         'level_over_error_median': float(np.median(level[:, 0] / np.maximum(off[:, 0], 1e-9))),
-        'undetected_wrong': _undetected(run, errors),
+        'undetected_wrong': _undetected(run),
     }
 
 
@@ -228,15 +216,14 @@ def align(poses: FloatArray, truth: FloatArray, scaled: bool) -> Alignment:
     return Alignment(np.array([*origin, turn]), scale)
 
 
-def aligned(run: Replay, scaled: bool) -> tuple[Replay, RunErrors, Alignment]:
-    """Transform the ground truth to the frame of the map; return run, errors and alignment."""
+def aligned(run: Replay, scaled: bool) -> tuple[Replay, Alignment]:
+    """Transform the ground truth to the frame of the map; return run and alignment."""
     poses = np.where(run.lost[:, None], np.nan, run.fused)
     found = align(poses, run.truth.at(run.stamps_ns), scaled)
     truth = run.truth.seen_from(found.pose, found.scale)
     if scaled:
         truth = _likeliest(run, truth, poses)
-    moved = replace(run, truth=truth)
-    return moved, run_errors(moved), found
+    return replace(run, truth=truth), found
 
 
 def _likeliest(run: Replay, truth: metrics.PoseTrack, poses: FloatArray) -> metrics.PoseTrack:
@@ -259,42 +246,40 @@ def _likeliest(run: Replay, truth: metrics.PoseTrack, poses: FloatArray) -> metr
 _LEFT = 0.1
 
 
-def other_frame(run: Replay, errors: RunErrors) -> str | None:
+def other_frame(run: Replay) -> str | None:
     """Text: what of the ground truth explains the errors of a run, if its frame or unit does."""
     try:
-        _, after, (pose, scale) = aligned(run, scaled=True)
+        moved, (pose, scale) = aligned(run, scaled=True)
     except LandmarkNavError:
         return None
-    (was, left) = (np.nanmean(np.square(e.fused[:, :2])) for e in (errors, after))
-    white = np.linalg.solve(run.fused_covariances, errors.fused[..., None])[..., 0]
-    if left > _LEFT**2 * was or np.nanmean(np.sum(errors.fused * white, 1)) < _FAR:
+    errors = run.errors.fused
+    (was, left) = (np.nanmean(np.square(e[:, :2])) for e in (errors, moved.errors.fused))
+    white = np.linalg.solve(run.fused_covariances, errors[..., None])[..., 0]
+    if left > _LEFT**2 * was or np.nanmean(np.sum(errors * white, 1)) < _FAR:
         return None
     x, y, turn = pose.tolist()
     unit = '' if abs(np.log(scale)) < _LEFT else f', and lengths are {1.0 / scale:.4g} times those'
     return f'the map lies at ({x:.2f}, {y:.2f}), {np.degrees(turn):.1f} deg in its frame{unit}'
 
 
-def against_truth(
-    run: Replay, landmark_map: LandmarkMap
-) -> tuple[Replay, RunErrors, dict[str, Any]]:
+def against_truth(run: Replay, landmark_map: LandmarkMap) -> tuple[Replay, dict[str, Any]]:
     """
-    A run, its errors, and metrics of the alignment; these are empty for a map in the true frame.
+    A run and metrics of its alignment; these are empty for a map in the true frame.
 
     For a map with its own frame, errors are those after one rigid transformation; `scale` and the
     errors after scaling are separate metrics. The truth of the run is then in the scale of the
     map, like the covariance of a pose, so that consistency is judged in that scale.
     """
     if not (landmark_map.has_own_frame and len(run.truth)):
-        return run, run_errors(run), {}
-    rigid = aligned(run, scaled=False)[1]
-    run, in_metre, alignment = aligned(run, scaled=True)
-    figures = {
+        return run, {}
+    rigid, _ = aligned(run, scaled=False)
+    in_metre, alignment = aligned(run, scaled=True)
+    return in_metre, {
         'aligned': True,
         'scale': alignment.scale,
-        **{name: metrics.error_summary(getattr(rigid, name)) for name in _ESTIMATES},
-        'fused_after_scale': metrics.error_summary(in_metre.fused),
+        **_summaries(rigid),
+        'fused_after_scale': error_summary(in_metre.errors.fused),
     }
-    return run, in_metre, figures
 
 
 # Bound of the squared normalised difference of three values, as improbable as five sigmas of one.
@@ -366,9 +351,7 @@ def departures(run: Replay, smoothed: Smoothed) -> str:
 def smoothed_report(run: Replay, smoothed: Smoothed) -> dict[str, Any]:
     """Metrics of the smoothed trajectory: errors, as for the other estimates, and NEES."""
     errors = pose_errors(smoothed.poses, run.truth.at(smoothed.stamps_ns))
-    nees = consistency(errors, smoothed.covariances)
-    mean, inside_95 = nees or (None, None)
-    return {**error_summary(errors), 'nees': {'mean': mean, 'inside_95': inside_95}}
+    return {**error_summary(errors), 'nees': _nees(errors, smoothed.covariances)}
 
 
 def write_tum_files(run: Replay, folder: Path, smoothed: Smoothed | None = None) -> None:
@@ -429,12 +412,12 @@ class AxisErrors(NamedTuple):
     limit: float
 
 
-def errors_by_axis(run: Replay, fused: FloatArray, fixes: FloatArray) -> list[AxisErrors]:
-    """Turn errors in map (n, 3) into the frame of the robot."""
+def errors_by_axis(run: Replay, fixes: FloatArray) -> list[AxisErrors]:
+    """Turn errors in map, of the fused poses and of `fixes` (n, 3), into the robot's frame."""
     turned = se2.rot_z(-run.fused[:, 2])
     covariances = turned @ run.fused_covariances @ turned.transpose(0, 2, 1)
     bands = 3.0 * np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
-    fused, fixes = (np.einsum('nij,nj->ni', turned, errors) for errors in (fused, fixes))
+    fused, fixes = (np.einsum('nij,nj->ni', turned, e) for e in (run.errors.fused, fixes))
     found = []
     for k, (label, factor) in enumerate(_AXES):
         band, off = factor * bands[:, k], factor * fused[:, k]

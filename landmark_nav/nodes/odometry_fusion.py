@@ -26,8 +26,7 @@ from landmark_nav.ros.camera_frames import CameraFrames, listen_for_map
 from landmark_nav.ros.health import Health, Latency, Level
 from landmark_nav.ros.run import run_node
 from landmark_nav.ros.topics import ros_factory, TransformBroadcaster
-from landmark_nav.storage.robot_files import save_calibration
-from landmark_nav.storage.setup_files import read_robot
+from landmark_nav.storage.robot_files import read_robot, save_calibration
 from landmark_nav.types import (
     Detections,
     JointSample,

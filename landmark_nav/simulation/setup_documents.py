@@ -12,7 +12,8 @@ import yaml
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Marker, Paper, Room
 from landmark_nav.simulation.scene import Scene
-from landmark_nav.storage.setup_files import MOUNT_FIELDS, room_text
+from landmark_nav.storage.robot_files import MOUNT_FIELDS
+from landmark_nav.storage.setup_files import room_text
 from landmark_nav.types import FloatArray
 
 # Standard deviations of the extrinsics of a simulated robot: 1 mm, 0.1 degrees.

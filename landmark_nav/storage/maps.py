@@ -23,9 +23,9 @@ from landmark_nav.errors import inside, LandmarkNavError, shown
 from landmark_nav.geometry.camera import INTRINSICS
 from landmark_nav.geometry.patches import PatchView
 from landmark_nav.image_codec import encode_image
-from landmark_nav.storage import reading
 from landmark_nav.storage.atomic_io import atomic_folder, left_over
-from landmark_nav.storage.setup_files import wall_entry, walls_field
+from landmark_nav.storage.reading import Entry, read_image, read_yaml_mapping
+from landmark_nav.storage.setup_files import wall_entry, walls_of
 from landmark_nav.types import ImageArray, Landmark, LandmarkMap, PoseEstimate
 
 # Greatest magnitude of a negative eigenvalue of the covariance without the shared errors, relative
@@ -53,28 +53,27 @@ def calibration_entry(known: Calibration) -> dict[str, Any]:
     } | {key: listed(values) for key, values in optional.items() if values is not None}
 
 
-def calibration_of(document: dict[str, Any], key: str, where: str) -> Calibration | None:
+def _calibration(document: dict[str, Any], key: str, where: str) -> Calibration | None:
     """Calibration of an optional entry; it lacks the names of frames and joints of the robot."""
     if document.get(key) is None:
         return None
-    entry, where = document[key], f'{where}: {key}'
-    names = reading.list_field(entry, 'names', where)
+    entry = Entry(document[key], f'{where}: {key}')
+    names = entry.list_of('names')
     if not names or [name for name in NAMES if name in names] != names:
-        raise LandmarkNavError(f'{where}: names must be {", ".join(NAMES)}')
-    covariance = reading.covariance_field(entry, len(names), where)
-    values = reading.array_field(entry, 'values', (len(names),), where)
+        raise entry.refused(f'names must be {", ".join(NAMES)}')
+    covariance = entry.covariance(len(names))
     # An older map lacks quantities that were added since.
     rows = np.array([NAMES.index(name) for name in names], dtype=np.intp)
     every, spread = np.zeros(len(NAMES)), np.diag(DEFAULT_SIGMAS**2)
-    every[rows], spread[np.ix_(rows, rows)] = values, covariance
+    every[rows], spread[np.ix_(rows, rows)] = entry.array('values', (len(names),)), covariance
     shared = intrinsics = None
     if 'shared_loading' in entry:
-        given = reading.array_field(entry, 'shared_loading', (len(names), None), where)
+        given = entry.array('shared_loading', (len(names), None))
         shared = np.zeros((len(NAMES), given.shape[1]))
         shared[rows] = given
     if 'intrinsics' in entry:
-        intrinsics = reading.array_field(entry, 'intrinsics', (INTRINSICS,), where)
-    with inside(where):
+        intrinsics = entry.array('intrinsics', (INTRINSICS,))
+    with inside(entry.where):
         return Calibration(every, spread, by_map=shared, intrinsics=intrinsics)
 
 
@@ -105,40 +104,39 @@ def described(landmark: Landmark) -> dict[str, Any]:
     } | ({'views': views} if views else {})
 
 
-def landmark_of(entry: Any, patch_of: Callable[[str], ImageArray], where: str) -> Landmark:
-    """Landmark of an entry; `patch_of` reads its images, errors begin with `where`."""
-    identity = reading.integer_field(entry, 'id', where)
-    where = f'{where} (id {identity})'
-    width, height = reading.array_field(entry, 'size', (2,), where)
+def _landmark(entry: Entry, patch_of: Callable[[str], ImageArray]) -> Landmark:
+    """Landmark of an entry; `patch_of` reads its images."""
+    identity = entry.integer('id')
+    entry.where += f' (id {identity})'
+    width, height = entry.array('size', (2,))
     point = width == height == 0.0
     if min(width, height) <= 0.0 and not point:
-        raise LandmarkNavError(f'{where}: size is {width:g} x {height:g}: it must be positive')
-    normal = reading.array_field(entry, 'normal', (3,), where)
+        raise entry.refused(f'size is {width:g} x {height:g}: it must be positive')
+    normal = entry.array('normal', (3,))
     if abs(np.linalg.norm(normal) - 1.0) > 1e-3 or abs(normal[2]) > 1e-3:
-        raise LandmarkNavError(f'{where}: normal is not horizontal and of length 1')
-    covariance = reading.covariance_field(entry, 3, where)
-    loading = reading.array_field(entry, 'shared_loading', (3, None), where)
+        raise entry.refused('normal is not horizontal and of length 1')
+    covariance, loading = entry.covariance(3), entry.array('shared_loading', (3, None))
     own = np.linalg.eigvalsh(covariance - loading @ loading.T)
     if own[0] < -_ROUNDING * np.linalg.norm(covariance, 2):
-        raise LandmarkNavError(
-            f'{where}: covariance is less than what shared_loading makes of it: learn the map '
-            'again, or set both to zero for an exact place'
+        raise entry.refused(
+            'covariance is less than what shared_loading makes of it: learn the map again, or set '
+            'both to zero for an exact place'
         )
     # Maps of older versions have no views.
-    viewpoints = reading.array_field(entry, 'views', (None, 3), where) if 'views' in entry else ()
+    viewpoints = entry.array('views', (None, 3)) if 'views' in entry else ()
     return Landmark(
         id=identity,
-        position=reading.array_field(entry, 'position', (3,), where),
+        position=entry.array('position', (3,)),
         covariance=covariance,
         shared_loading=loading,
         normal=normal,
         width_m=float(width),
         height_m=float(height),
         patch=_NO_PATCH if point else patch_of(patch_name(identity)),
-        viewpoint=reading.array_field(entry, 'viewpoint', (3,), where),
-        threshold=reading.number_field(entry, 'threshold', where),
-        wall_id=reading.name_field(entry, 'wall', where, blank=True),
-        saliency=reading.number_field(entry, 'quality', where),
+        viewpoint=entry.array('viewpoint', (3,)),
+        threshold=entry.number('threshold'),
+        wall_id=entry.name('wall', blank=True),
+        saliency=entry.number('quality'),
         views=tuple(
             PatchView(viewpoint, patch_of(view_name(identity, k)))
             for k, viewpoint in enumerate(viewpoints)
@@ -157,7 +155,7 @@ def patch_reader(folder: Path) -> Callable[[str], ImageArray]:
 
     def patch_of(name: str) -> ImageArray:
         nonlocal pixels
-        patch = reading.read_image(folder / name, cv2.IMREAD_GRAYSCALE, _MAX_PATCH_PIXELS)
+        patch = read_image(folder / name, cv2.IMREAD_GRAYSCALE, _MAX_PATCH_PIXELS)
         pixels += patch.size
         if pixels > _MAX_MAP_PIXELS:
             many = f'over {_MAX_MAP_PIXELS / 1e6:g} million pixels'
@@ -247,50 +245,45 @@ def load_map(folder: Path | str) -> LandmarkMap:
     path = folder / 'map.yaml'
     if not path.is_file():
         raise LandmarkNavError(f'{folder}: {_no_map(folder)}')
-    document, where = reading.read_yaml_mapping(path), str(path)
-    version = reading.field(document, 'schema_version', where)
+    document = read_yaml_mapping(path)
+    top = Entry(document, str(path))
+    version = top.field('schema_version')
     if version not in _READ or isinstance(version, bool):
         newer = isinstance(version, int) and version > SCHEMA_VERSION
         remedy = 'update landmark_nav' if newer else 'learn the map again'
-        raise LandmarkNavError(
-            f'{path}: schema version {shown(version)}, this landmark_nav reads {SCHEMA_VERSION}: '
-            f'{remedy}'
+        raise top.refused(
+            f'schema version {shown(version)}, this landmark_nav reads {SCHEMA_VERSION}: {remedy}'
         )
-    entries = reading.list_field(document, 'landmarks', where)
     patch_of = patch_reader(folder)
-    landmarks = tuple(
-        landmark_of(e, patch_of, f'{path}: landmarks[{k}]') for k, e in enumerate(entries)
-    )
+    landmarks = tuple(_landmark(entry, patch_of) for entry in top.entries('landmarks'))
     counts = Counter(landmark.id for landmark in landmarks)
     doubled = sorted(k for k, count in counts.items() if count > 1)
     if doubled:
-        raise LandmarkNavError(f'{path}: landmark id {doubled[0]} is there twice: rename one')
+        raise top.refused(f'landmark id {doubled[0]} is there twice: rename one')
     provenance = document.get('provenance') or {}
     if not isinstance(provenance, dict):
-        raise LandmarkNavError(f'{path}: provenance is {shown(provenance)}, not a mapping')
+        raise top.refused(f'provenance is {shown(provenance)}, not a mapping')
     sigma = provenance.get('scale_sigma', 0.0)
     try:
         known = 0.0 <= float(sigma) < float('inf')
     except (TypeError, ValueError):
         known = False
     if not known:
-        raise LandmarkNavError(f'{path}: scale_sigma is {shown(sigma)}, not a number from 0 on')
-    places = []
-    for k, entry in enumerate(reading.list_field(document, 'panorama_poses', where)):
-        at = f'{path}: panorama_poses[{k}]'
-        stamp_ns = reading.integer_field(entry, 'stamp_ns', at)
-        pose = reading.array_field(entry, 'pose', (3,), at)
-        places.append(PoseEstimate(stamp_ns, pose, reading.covariance_field(entry, 3, at)))
-    frame_id, walls = reading.name_field(document, 'frame_id', where), walls_field(document, where)
+        raise top.refused(f'scale_sigma is {shown(sigma)}, not a number from 0 on')
+    places = tuple(
+        PoseEstimate(place.integer('stamp_ns'), place.array('pose', (3,)), place.covariance(3))
+        for place in top.entries('panorama_poses')
+    )
+    frame_id, walls = top.name('frame_id'), walls_of(top)
     made = {str(key): str(value) for key, value in provenance.items()}
-    prior, learned = (calibration_of(document, name, where) for name in ('prior', 'calibration'))
+    prior, learned = (_calibration(document, name, top.where) for name in ('prior', 'calibration'))
     factors = landmarks[0].shared_loading.shape[1] if landmarks else 0
     if learned is not None and learned.by_map is not None and learned.by_map.shape[1] < factors:
         # An older map without a plan lacks the factor of the pan zero, which is the last one.
         lacking = factors - learned.by_map.shape[1]
         learned = replace(learned, by_map=np.pad(learned.by_map, ((0, 0), (0, lacking))))
     with inside(path):
-        return LandmarkMap(landmarks, frame_id, walls, tuple(places), made, prior, learned)
+        return LandmarkMap(landmarks, frame_id, walls, places, made, prior, learned)
 
 
 def _no_map(folder: Path) -> str:

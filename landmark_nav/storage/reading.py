@@ -212,96 +212,130 @@ _MAX_NAME_LENGTH = 100
 _LARGEST = 1e12
 
 
-def field(mapping: Any, key: str, where: str) -> Any:
-    """Value of `key`; `LandmarkNavError` if `mapping` is not a mapping or lacks it."""
-    if not isinstance(mapping, Mapping):
-        raise LandmarkNavError(f'{where} is {shown(mapping)}, not a mapping')
-    if key not in mapping:
-        raise LandmarkNavError(f'{where}: {key} is missing')
-    return mapping[key]
+class Entry:
+    """
+    A mapping out of a file; its fields are checked when they are read.
 
+    Errors begin with `where`. A key that resembles one of the `known` ones which are absent is
+    misspelt; other unknown keys are allowed.
 
-def check_spelling(mapping: Any, known: Collection[str], where: str) -> None:
-    """Raise `LandmarkNavError` if an unknown key resembles one of `known` that is absent."""
-    absent = [key for key in known if key not in mapping]
-    strange = [key for key in mapping if key not in known and len(str(key)) < _MAX_NAME_LENGTH]
-    for key in strange[:_MOST_COMPARED]:
-        meant = difflib.get_close_matches(str(key), absent, 1, _ALIKE)
-        if meant:
-            raise LandmarkNavError(f'{where}: {key} is no field: write {meant[0]}')
+    Raises `LandmarkNavError`: it is not a mapping, or a key is misspelt. The methods: a field is
+    missing, or is not what they return.
+    """
 
+    def __init__(self, mapping: Any, where: str, known: Collection[str] = ()) -> None:
+        if not isinstance(mapping, Mapping):
+            raise LandmarkNavError(f'{where} is {shown(mapping)}, not a mapping')
+        self._mapping, self.where = mapping, where
+        absent = [key for key in known if key not in mapping]
+        strange = [key for key in mapping if key not in known and len(str(key)) < _MAX_NAME_LENGTH]
+        for key in strange[:_MOST_COMPARED] if absent else ():
+            if meant := difflib.get_close_matches(str(key), absent, 1, _ALIKE):
+                raise self.refused(f'{key} is no field: write {meant[0]}')
 
-def list_field(mapping: Any, key: str, where: str, longest: int | None = None) -> list[Any]:
-    """Value of `key`, a list of at most `longest` items."""
-    value = field(mapping, key, where)
-    if not isinstance(value, list):
-        raise LandmarkNavError(f'{where}: {key} is {shown(value)}, not a list')
-    if longest is not None and len(value) > longest:
-        raise LandmarkNavError(f'{where}: {key} has {len(value)} entries: {longest} at most')
-    return value
+    def __contains__(self, key: str) -> bool:
+        return key in self._mapping
 
+    def refused(self, why: str) -> LandmarkNavError:
+        """Error of this mapping."""
+        return LandmarkNavError(f'{self.where}: {why}')
 
-def name_field(
-    mapping: Any, key: str, where: str, default: str | None = None, *, blank: bool = False
-) -> str:
-    """Value of `key`, a word or an integer; `default`, if given, for a key that is absent."""
-    if default is not None and key not in mapping:
-        return default
-    value = field(mapping, key, where)
-    name = str(value)
-    word = isinstance(value, str | int) and not isinstance(value, bool)
-    fits = (blank or name) and len(name) <= _MAX_NAME_LENGTH and name.isprintable()
-    if not (word and fits):
-        raise LandmarkNavError(f'{where}: {key} is {shown(value)}, not a name')
-    return name
+    def field(self, key: str) -> Any:
+        """Value of `key`, of any kind."""
+        if key not in self._mapping:
+            raise self.refused(f'{key} is missing')
+        return self._mapping[key]
 
+    def list_of(self, key: str, longest: int | None = None) -> list[Any]:
+        """Value of `key`, a list of at most `longest` items."""
+        value = self.field(key)
+        if not isinstance(value, list):
+            raise self.refused(f'{key} is {shown(value)}, not a list')
+        if longest is not None and len(value) > longest:
+            raise self.refused(f'{key} has {len(value)} entries: {longest} at most')
+        return value
 
-def integer_field(mapping: Any, key: str, where: str) -> int:
-    """Value of `key`, a non-negative integer."""
-    value = field(mapping, key, where)
-    if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 2**63:
-        raise LandmarkNavError(f'{where}: {key} is {shown(value)}, not an integer from 0 on')
-    return value
+    def entries(
+        self, key: str, known: Collection[str] = (), longest: int | None = None
+    ) -> list[Entry]:
+        """Mappings in the list of `key`."""
+        values = enumerate(self.list_of(key, longest))
+        return [Entry(value, f'{self.where}: {key}[{k}]', known) for k, value in values]
 
+    def section(self, key: str, known: Collection[str] = ()) -> Entry:
+        """Mapping of `key`, whose errors begin with that."""
+        return Entry(self.field(key), key, known)
 
-def number_field(mapping: Any, key: str, where: str) -> float:
-    """Value of `key`, a finite number."""
-    return float(array_field(mapping, key, (), where))
+    def name(self, key: str, default: str | None = None, *, blank: bool = False) -> str:
+        """Value of `key`, a word or an integer; `default`, if given, for a key that is absent."""
+        if default is not None and key not in self:
+            return default
+        value = self.field(key)
+        name = str(value)
+        word = isinstance(value, str | int) and not isinstance(value, bool)
+        fits = (blank or name) and len(name) <= _MAX_NAME_LENGTH and name.isprintable()
+        if not (word and fits):
+            raise self.refused(f'{key} is {shown(value)}, not a name')
+        return name
 
+    def integer(self, key: str) -> int:
+        """Value of `key`, a non-negative integer."""
+        value = self.field(key)
+        if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < 2**63:
+            raise self.refused(f'{key} is {shown(value)}, not an integer from 0 on')
+        return value
 
-def array_field(mapping: Any, key: str, shape: tuple[int | None, ...], where: str) -> FloatArray:
-    """Value of `key`, an array of finite numbers; None in `shape` stands for any length."""
-    value = field(mapping, key, where)
-    wanted = ' x '.join('n' if length is None else str(length) for length in shape)
-    what = f'{key} is {shown(value)}'
-    kind = f'not {wanted} numbers' if shape else 'not a number'
-    try:
-        array = np.asarray(value)
-    except (ValueError, OverflowError) as error:
-        raise LandmarkNavError(f'{where}: {what}, {kind}') from error
-    fits = array.ndim == len(shape) and all(
-        wanted in (None, length) for wanted, length in zip(shape, array.shape, strict=True)
-    )
-    if not fits or (array.dtype.kind not in 'iuf' and array.size) or _holds_boolean(value):
-        raise LandmarkNavError(f'{where}: {what}, {kind}')
-    numbers = array.astype(np.float64)
-    if not np.all(np.isfinite(numbers)):
-        raise LandmarkNavError(f'{where}: {what}: not finite')
-    if np.any(np.abs(numbers) > _LARGEST):
-        raise LandmarkNavError(f'{where}: {what}: larger than {_LARGEST:g}')
-    return numbers
+    def number(
+        self, key: str, low: float = -_LARGEST, high: float = _LARGEST, how: str = ''
+    ) -> float:
+        """Value of `key`, a number, see `array`."""
+        return float(self.array(key, (), low, high, how))
+
+    def array(
+        self,
+        key: str,
+        shape: tuple[int | None, ...],
+        low: float = -_LARGEST,
+        high: float = _LARGEST,
+        how: str = '',
+    ) -> FloatArray:
+        """
+        Value of `key`, an array of finite numbers; None in `shape` stands for any length.
+
+        Numbers are from `low` to `high`, or the error says `how` they should be.
+        """
+        value = self.field(key)
+        wanted = ' x '.join('n' if length is None else str(length) for length in shape)
+        what = f'{key} is {shown(value)}'
+        kind = f'not {wanted} numbers' if shape else 'not a number'
+        try:
+            array = np.asarray(value)
+        except (ValueError, OverflowError) as error:
+            raise self.refused(f'{what}, {kind}') from error
+        fits = array.ndim == len(shape) and all(
+            wanted in (None, length) for wanted, length in zip(shape, array.shape, strict=True)
+        )
+        if not fits or (array.dtype.kind not in 'iuf' and array.size) or _holds_boolean(value):
+            raise self.refused(f'{what}, {kind}')
+        numbers = array.astype(np.float64)
+        if not np.all(np.isfinite(numbers)):
+            raise self.refused(f'{what}: not finite')
+        if np.any(np.abs(numbers) > _LARGEST):
+            raise self.refused(f'{what}: larger than {_LARGEST:g}')
+        if np.any((numbers < low) | (numbers > high)):
+            raise self.refused(f'{what}: {how}')
+        return numbers
+
+    def covariance(self, size: int) -> FloatArray:
+        """Value of ``covariance``, a covariance matrix (size, size)."""
+        matrix = self.array('covariance', (size, size))
+        eigenvalues = np.linalg.eigvalsh(matrix)
+        slack = _ROUNDING * max(float(eigenvalues[-1]), 0.0)
+        if np.abs(matrix - matrix.T).max() > slack or eigenvalues[0] < -slack:
+            raise self.refused('no covariance: not symmetric, or negative eigenvalues')
+        return matrix
 
 
 def _holds_boolean(value: Any) -> bool:
     """Whether a yes or no is among numbers, where NumPy takes it for 1 or 0."""
     return any(map(_holds_boolean, value)) if isinstance(value, list) else isinstance(value, bool)
-
-
-def covariance_field(mapping: Any, size: int, where: str) -> FloatArray:
-    """Covariance matrix (size, size) of a mapping."""
-    matrix = array_field(mapping, 'covariance', (size, size), where)
-    eigenvalues = np.linalg.eigvalsh(matrix)
-    slack = _ROUNDING * max(float(eigenvalues[-1]), 0.0)
-    if np.abs(matrix - matrix.T).max() > slack or eigenvalues[0] < -slack:
-        raise LandmarkNavError(f'{where}: no covariance: not symmetric, or negative eigenvalues')
-    return matrix

@@ -1,8 +1,8 @@
-"""Parameter files of nodes, and the calibration, with its sigmas, in `robot.yaml`."""
+"""Parameter files of nodes, and `robot.yaml`: mount and calibration, with its sigmas."""
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Mapping
+from collections.abc import Collection, Iterable, Iterator, Mapping
 from dataclasses import replace
 import logging
 from pathlib import Path
@@ -12,12 +12,13 @@ from typing import Any, TypeVar
 import numpy as np
 import yaml
 
-from landmark_nav.calibration import Calibration, LENS, NAMES, UNITS
+from landmark_nav.calibration import Calibration, NAMES, UNITS
 from landmark_nav.errors import inside, LandmarkNavError, shown
+from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.parameters import changed
 from landmark_nav.storage.atomic_io import write_atomically
-from landmark_nav.storage.reading import array_field, number_field, read_yaml_mapping
-from landmark_nav.storage.setup_files import MOUNT_FIELDS, mount_of, read_robot, ROBOT_FIELDS
+from landmark_nav.storage.reading import Entry, read_text, read_yaml_mapping
+from landmark_nav.storage.urdf import robot_of_urdf
 from landmark_nav.types import FloatArray
 
 _LOG = logging.getLogger(__name__)
@@ -89,23 +90,130 @@ def shipped_config(name: str) -> Path:
 
 T = TypeVar('T')
 
-# Field with sigmas -> its quantities; a single number applies to all of them.
-_SIGMAS = {
-    'xyz_sigma': ('axis_x', 'axis_y', 'axis_z'),
-    'rpy_sigma': ('axis_roll', 'axis_pitch', 'axis_yaw'),
-    'optical_center_offset_sigma': ('center_x', 'center_y', 'center_z'),
-    'camera_roll_sigma': ('camera_roll',),
+# Field of a robot -> argument of a mount, range and unit. A pan of greater sigma gives no
+# information. A joint may make a full turn to both sides; rates and accelerations beyond the range
+# are given in another unit. Images are never early.
+MOUNT_FIELDS = {
+    'pan_sigma': ('pan_sigma_rad', 0.0, 0.1, 'radians'),
+    'pan_min': ('pan_min_rad', -6.2832, 6.2832, 'radians'),
+    'pan_max': ('pan_max_rad', -6.2832, 6.2832, 'radians'),
+    'pan_rate': ('pan_rate_rad_s', 0.01, 100.0, 'radians a second'),
+    'pan_acceleration': ('pan_acceleration_rad_s2', 0.01, 1e4, 'radians a second, each second'),
+    'image_delay': ('image_delay_s', 0.0, 1.0, 'seconds'),
 }
-# Quantities that a mount does not hold. Their fields have their names; sigmas end in `_sigma`.
-_SCALARS = ('camera_tilt', 'pan_scale', *LENS, 'joint_delay')
-_SIGMAS |= {f'{name}_sigma': (name,) for name in _SCALARS}
-_OF_AXIS = ('xyz_sigma', 'rpy_sigma')
-# Greatest sigma by unit; a larger one is given in another unit.
-_LARGEST = {'m': 1.0, 'rad': 3.2, '1': 1.0, 's': 10.0}
+# Field of a robot -> quantities of its calibration. FIELD_sigma has their sigmas, one for each, or
+# one for all.
+QUANTITIES: dict[str, tuple[str, ...]] = {
+    'xyz': NAMES[0:3],
+    'rpy': NAMES[3:6],
+    'optical_center_offset': NAMES[6:9],
+    **{name: (name,) for name in NAMES[9:]},
+}
+# Those in the section ``pan_axis``, and those that a mount holds.
+_OF_AXIS, _OF_MOUNT = ('xyz', 'rpy'), ('xyz', 'rpy', 'optical_center_offset', 'camera_roll')
+# Greatest absolute value by unit or field: half a turn, rounded up, and a camera that is aimed at
+# the floor. Greatest sigma. Larger ones are given in another unit.
+_LARGEST = {'m': 10.0, 'rad': 3.15, '1': 0.5, 's': 1.0, 'camera_tilt': 1.0}
+_LARGEST_SIGMA = {'m': 1.0, 'rad': 3.2, '1': 1.0, 's': 10.0}
+_HOW = {
+    'm': 'lengths are metres',
+    'rad': 'give it in radians',
+    '1': 'give it as a fraction',
+    's': 'give it in seconds',
+}
+
+_URDF = '.urdf'
+_AXIS_FIELDS = tuple(f'{field}{end}' for field in _OF_AXIS for end in ('', '_sigma'))
+ROBOT_FIELDS = (
+    *('base_frame', 'pan_joint', 'tilt_joint', 'pan_axis', 'correlations', 'odometry'),
+    *(f'{field}{end}' for field in QUANTITIES if field not in _OF_AXIS for end in ('', '_sigma')),
+    *MOUNT_FIELDS,
+)
 # Least absolute correlation that is written.
 _LEAST_CORRELATION = 1e-6
-# Greatest absolute value of a quantity by unit; a larger one is given in another unit.
-_LARGEST_SCALAR = {'rad': 1.0, '1': 0.5, 's': 1.0}
+
+
+def read_robot(path: Path, former: Mapping[str, Any]) -> dict[str, Any]:
+    """
+    Content of `robot.yaml`, or of a URDF, completed by `former` parameters for absent fields.
+
+    A path ``FILE.urdf:FRAME`` names the optical frame of the camera.
+    """
+    name, _, camera_frame = path.name.partition(f'{_URDF}:')
+    if camera_frame or path.suffix == _URDF:
+        file = path.with_name(f'{name}{_URDF}') if camera_frame else path
+        text = read_text(file)
+        with inside(file):
+            document = robot_of_urdf(text, camera_frame)
+        # Limits that mean none, as of a simulator, are left out.
+        for key in document.keys() & MOUNT_FIELDS.keys():
+            _, low, high, _ = MOUNT_FIELDS[key]
+            if not low <= document[key] <= high:
+                del document[key]
+    else:
+        document = read_yaml_mapping(path)
+    for key, value in former.items():
+        own = document.get(key, {} if isinstance(value, Mapping) else value)
+        document[key] = {**value, **own} if isinstance(own, dict) else own
+    return document
+
+
+def load_robot(path: Path | str, former: Mapping[str, Any] | None = None) -> PanTiltMount:
+    """
+    Read the extrinsics of the camera on the robot, and the limits of its pan joint.
+
+    `former` are fields given by parameters of the last release; the file takes precedence.
+
+    Raises `LandmarkNavError`: a field is missing or malformed.
+    """
+    path = Path(path)
+    document = read_robot(path, former or {})
+    with inside(path):
+        return _mount(Entry(document, 'robot', ROBOT_FIELDS))
+
+
+def _mount(robot: Entry) -> PanTiltMount:
+    robot.section('pan_axis', _AXIS_FIELDS).field('xyz')  # all else has a default
+    x = [*(dict.fromkeys(NAMES[:10], 0.0) | _quantities(robot, _OF_MOUNT)).values()]
+    pan, tilt = (robot.name(name, name) for name in ('pan_joint', 'tilt_joint'))
+    if pan == tilt:
+        raise robot.refused(f'pan_joint and tilt_joint are both {pan}: rename one')
+    return PanTiltMount(
+        axis_xyz=(x[0], x[1], x[2]),
+        axis_rpy=(x[3], x[4], x[5]),
+        optical_center_offset=(x[6], x[7], x[8]),
+        camera_roll_rad=x[9],
+        base_frame=robot.name('base_frame', 'base_link'),
+        pan_joint=pan,
+        tilt_joint=tilt,
+        **{
+            argument: robot.number(key, low, high, f'take {low:g} to {high:g}, in {unit}')
+            for key, (argument, low, high, unit) in MOUNT_FIELDS.items()
+            if key in robot
+        },
+    )
+
+
+def _quantities(
+    robot: Entry, fields: Iterable[str] = QUANTITIES, *, sigmas: bool = False
+) -> dict[str, float]:
+    """Quantities that some fields give, by name, or their sigmas; absent ones are left out."""
+    axis = robot.section('pan_axis')
+    found: dict[str, float] = {}
+    for field in fields:
+        names, entry = QUANTITIES[field], axis if field in _OF_AXIS else robot
+        key = f'{field}_sigma' if sigmas else field
+        if key not in entry:
+            continue
+        unit = UNITS[names[0]]
+        most = _LARGEST_SIGMA[unit] if sigmas else _LARGEST.get(field, _LARGEST[unit])
+        least, how = (0.0, f'0 to {most:g}') if sigmas else (-most, f'{most:g} at most')
+        # A single sigma is that of all quantities of the field.
+        several = isinstance(entry.field(key), list) if sigmas else len(names) > 1
+        shape = (len(names),) if several else ()
+        given = entry.array(key, shape, least, most, f'{_HOW[unit]}, {how}')
+        found |= zip(names, np.broadcast_to(given, len(names)).tolist(), strict=True)
+    return found
 
 
 def load_calibration(path: Path | str, former: Mapping[str, Any] | None = None) -> Calibration:
@@ -120,23 +228,12 @@ def load_calibration(path: Path | str, former: Mapping[str, Any] | None = None) 
     """
     path = Path(path)
     document = read_robot(path, former or {})
-    mount = mount_of(document, path)
-    if strange := [str(key) for key in document if key not in ROBOT_FIELDS]:
-        _LOG.warning('%s: no fields of it, not used: %s', path, ', '.join(strange[:5]))
-    axis = document['pan_axis']
-    sigmas: dict[str, float] = {}
-    values: dict[str, float] = {}
     with inside(path):
-        for key, names in _SIGMAS.items():
-            where, mapping = ('pan_axis', axis) if key in _OF_AXIS else ('robot', document)
-            if key in mapping:
-                sigmas |= zip(names, _spread(mapping, key, names, where), strict=True)
-        for name in _SCALARS:
-            if name in document:
-                values[name] = number_field(document, name, 'robot')
-                if abs(values[name]) > _LARGEST_SCALAR[UNITS[name]]:
-                    unit = UNITS[name].replace('1', 'a fraction')
-                    raise LandmarkNavError(f'robot: {name} is {values[name]:g}: give it in {unit}')
+        robot = Entry(document, 'robot', ROBOT_FIELDS)
+        mount = _mount(robot)
+        if strange := [str(key) for key in document if key not in ROBOT_FIELDS]:
+            _LOG.warning('%s: no fields of it, not used: %s', path, ', '.join(strange[:5]))
+        sigmas, values = (_quantities(robot, sigmas=which) for which in (True, False))
         alone = Calibration.of_mount(mount, sigmas, values)
         together = _correlations(document.get('correlations', []))
         return replace(alone, covariance=np.outer(alone.sigmas, alone.sigmas) * together)
@@ -178,19 +275,6 @@ def _correlations(entries: Any) -> FloatArray:
     return together
 
 
-def _spread(mapping: dict[str, Any], key: str, names: tuple[str, ...], where: str) -> list[float]:
-    """Sigmas of some quantities, from a field with one number for all or one for each."""
-    single = not isinstance(mapping[key], list)
-    given = array_field(mapping, key, () if single else (len(names),), where)
-    spread = np.broadcast_to(given, len(names)).tolist()
-    largest = _LARGEST[UNITS[names[0]]]
-    if min(spread) < 0.0 or max(spread) > largest:
-        unit = UNITS[names[0]].replace('1', 'a fraction')
-        how = f'give sigmas of 0 to {largest:g}, in {unit}'
-        raise LandmarkNavError(f'{where}: {key} is {mapping[key]!r}: {how}')
-    return list(spread)
-
-
 def save_calibration(
     calibration: Calibration, path: Path | str, odometry: Mapping[str, Any] | None = None
 ) -> None:
@@ -201,23 +285,25 @@ def save_calibration(
     """
     base = calibration.base
 
-    def both(name: str, first: str) -> dict[str, list[float]]:
-        """Fields of three quantities: values and sigmas."""
-        three = slice(NAMES.index(first), NAMES.index(first) + 3)
-        values, sigmas = calibration.values[three], calibration.sigmas[three]
-        return {name: [*map(_rounded, values)], f'{name}_sigma': [*map(_rounded, sigmas)]}
+    def both(field: str) -> dict[str, Any]:
+        """Field of a value or several, and that of their sigmas."""
+        values, sigmas = zip(
+            *(map(_rounded, calibration[k]) for k in QUANTITIES[field]), strict=True
+        )
+        if len(values) == 1:
+            return {field: values[0], f'{field}_sigma': sigmas[0]}
+        return {field: [*values], f'{field}_sigma': [*sigmas]}
 
     document: dict[str, Any] = {
         **{name: getattr(base, name) for name in ('base_frame', 'pan_joint', 'tilt_joint')},
-        'pan_axis': both('xyz', 'axis_x') | both('rpy', 'axis_roll'),
-        **both('optical_center_offset', 'center_x'),
-        'pan_sigma': float(base.pan_sigma_rad),
+        'pan_axis': both('xyz') | both('rpy'),
+        **both('optical_center_offset'),
         **{key: float(getattr(base, argument)) for key, (argument, *_) in MOUNT_FIELDS.items()},
     }
     if odometry:
         document['odometry'] = dict(odometry)
-    for name in ('camera_roll', *_SCALARS):
-        document[name], document[f'{name}_sigma'] = map(_rounded, calibration[name])
+    for name in NAMES[9:]:
+        document |= both(name)
     spread = np.maximum(calibration.sigmas, 1e-12)
     together = calibration.covariance / np.outer(spread, spread)
     # Correlations are rounded toward zero, so that the matrix stays positive semi-definite.

@@ -38,7 +38,8 @@ from landmark_nav.localization.odometry.noise import motion_variances, OdometryN
 from landmark_nav.localization.odometry.track import OdometryTrack
 from landmark_nav.localization.triangulation.model import base_from_axis
 from landmark_nav.storage.bags import Bag, read_sweeps, sensor_events
-from landmark_nav.storage.setup_files import load_robot, load_room
+from landmark_nav.storage.robot_files import load_robot
+from landmark_nav.storage.setup_files import load_room
 from landmark_nav.types import CameraFrame, FloatArray, OdometrySample
 
 # Wrong without a word.

@@ -40,7 +40,8 @@ from landmark_nav.simulation.setup_documents import robot_document, room_documen
 from landmark_nav.simulation.world import DEFAULT_CAMERA, DEFAULT_MOUNT, RobotWorld, sweep_messages
 from landmark_nav.storage.bags import Bag, BagWriter, read_sweeps
 from landmark_nav.storage.maps import load_map
-from landmark_nav.storage.setup_files import load_robot, load_room
+from landmark_nav.storage.robot_files import load_robot
+from landmark_nav.storage.setup_files import load_room
 from landmark_nav.types import FloatArray, PoseEstimate, Sweep
 
 # A landmark is wrong if it lies farther off than so many of its standard deviations, and this.

@@ -17,7 +17,7 @@ import numpy as np
 
 from landmark_nav.configuration import load_configuration, READS
 from landmark_nav.evaluation.replay import replay
-from landmark_nav.evaluation.run_report import pose_report, run_errors
+from landmark_nav.evaluation.run_report import pose_report
 from landmark_nav.storage.bags import Bag, sensor_events
 from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.robot_files import load_calibration
@@ -37,7 +37,7 @@ def driven(robot, data, folder):
         load_configuration(folder / 'log_config.yaml', folder / 'log_robot.yaml', *READS),
         np.array(start_of(folder, 'log_start.json')), np.diag(START_SIGMA**2),
     )  # fmt: skip
-    return pose_report(run, run_errors(run), posts)
+    return pose_report(run, posts)
 
 
 def meets_bounds(report, robot):

@@ -31,7 +31,8 @@ from landmark_nav.storage.bags.definitions import TOPIC_TYPES
 from landmark_nav.storage.bags.sweeps import read_sweep_folder
 from landmark_nav.storage.maps import load_map, save_map
 from landmark_nav.storage.mrclam import read_mrclam
-from landmark_nav.storage.setup_files import load_camera, load_robot, load_room
+from landmark_nav.storage.robot_files import load_robot
+from landmark_nav.storage.setup_files import load_camera, load_room
 
 STORE = default_typestore()
 BAG_TOPICS = ('camera/image_raw/compressed', 'camera/camera_info', 'joint_states', 'odom')

@@ -23,7 +23,7 @@ from landmark_nav.ros.camera_frames import listen_for_pan, PanCommander
 from landmark_nav.ros.topics import ros_factory
 from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.maps import load_map
-from landmark_nav.storage.setup_files import load_robot
+from landmark_nav.storage.robot_files import load_robot
 from landmark_nav.types import CameraFrame, JointSample, LandmarkMap, OdometrySample, PoseEstimate
 
 SECOND = 10**9

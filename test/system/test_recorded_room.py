@@ -21,8 +21,8 @@ from landmark_nav.planning.views import PlanConfig
 from landmark_nav.simulation.furnishing import generate_scene
 from landmark_nav.storage.bags import Bag, read_sweeps
 from landmark_nav.storage.maps import load_map
-from landmark_nav.storage.robot_files import load_calibration, save_calibration
-from landmark_nav.storage.setup_files import load_robot, load_room
+from landmark_nav.storage.robot_files import load_calibration, load_robot, save_calibration
+from landmark_nav.storage.setup_files import load_room
 
 
 @pytest.fixture(scope='module')

@@ -42,8 +42,8 @@ from landmark_nav.diagnosis.streams import Stream, two_sources
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.matching.strips import StripView
 from landmark_nav.storage.bags import Bag, sensor_events
-from landmark_nav.storage.robot_files import load_calibration
-from landmark_nav.storage.setup_files import load_robot, load_room
+from landmark_nav.storage.robot_files import load_calibration, load_robot
+from landmark_nav.storage.setup_files import load_room
 from landmark_nav.types import OdometrySample
 
 BAGS = Path(__file__).resolve().parents[2] / 'bags'
@@ -412,7 +412,7 @@ def seen(images, sharpness=0.5):
     small = dict(enumerate(images))
     nothing = Stream('images', '', *2 * (np.arange(len(images)),), np.empty((len(images), 0)))
     sharp = dict.fromkeys(small, sharpness)
-    return Looks(nothing, np.empty((0, 2), np.intp), (), {}, small, sharp, None, None, {})
+    return Looks(nothing, (), {}, small, sharp, None, None, {})
 
 
 def test_images_that_are_covered_blurred_or_flicker_are_named():

@@ -15,7 +15,6 @@ from landmark_nav.evaluation.figures import draw_errors, draw_map, draw_trajecto
 from landmark_nav.evaluation.figures.stereo_figure import ray_sigma_m
 from landmark_nav.evaluation.metrics import PoseTrack
 from landmark_nav.evaluation.replay import Replay
-from landmark_nav.evaluation.run_report import run_errors
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.geometry.walls import Marker, Paper, Room
 from landmark_nav.learning.attention.maps import AttentionConfig
@@ -82,7 +81,7 @@ def a_run(truth=True, fixed=True):
 def test_runs_are_drawn_whatever_is_missing(tmp_path, truth, fixed, recwarn):
     run = a_run(truth, fixed)
     draw_trajectory(run, a_map(), tmp_path / 'trajectory.png')
-    draw_errors(run, run_errors(run), tmp_path / 'errors.png')
+    draw_errors(run, tmp_path / 'errors.png')
     assert share_of(tmp_path / 'trajectory.png', LANDMARK_BGR) > 0.0
     assert cv2.imread(str(tmp_path / 'errors.png')) is not None
     assert [str(warning.message) for warning in recwarn] == []

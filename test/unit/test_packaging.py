@@ -12,7 +12,7 @@ import xml.etree.ElementTree as ElementTree
 
 import pytest
 
-from landmark_nav.storage import setup_files
+from landmark_nav.storage import robot_files
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 MANIFEST = ElementTree.parse(REPOSITORY / 'package.xml').getroot()
@@ -166,5 +166,5 @@ def test_every_page_of_the_site_is_in_its_index():
 
 def test_all_fields_of_a_robot_file_are_described():
     text = (DOCS / 'files.md').read_text(encoding='utf-8')
-    fields = {*setup_files.ROBOT_FIELDS, *setup_files._AXIS_FIELDS}
+    fields = {*robot_files.ROBOT_FIELDS, *robot_files._AXIS_FIELDS}
     assert {name for name in fields if name not in text} == set()

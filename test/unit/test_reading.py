@@ -16,7 +16,8 @@ from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.maps import load_map, patch_reader
 from landmark_nav.storage.mrclam import read_mrclam
 from landmark_nav.storage.reading import read_bytes, read_text, read_yaml_mapping
-from landmark_nav.storage.setup_files import load_camera, load_robot, load_room
+from landmark_nav.storage.robot_files import load_robot
+from landmark_nav.storage.setup_files import load_camera, load_room
 
 BOMB = 'a0: &a0 [x, x]\n' + ''.join(
     f'a{k}: &a{k} [{", ".join([f"*a{k - 1}"] * 10)}]\n' for k in range(1, 10)

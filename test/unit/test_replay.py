@@ -8,7 +8,7 @@ from landmark_nav.calibration import Calibration
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.metrics import error_summary
 from landmark_nav.evaluation.replay import replay, shifts_by_odometry
-from landmark_nav.evaluation.run_report import run_errors, run_report, smooth_run, write_tum_files
+from landmark_nav.evaluation.run_report import run_report, smooth_run, write_tum_files
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
@@ -66,7 +66,7 @@ def test_report_has_the_keys_of_the_contract_and_is_the_same_run_after_run():
     reports = []
     for _ in range(2):
         done = run(drive())
-        reports.append(run_report(done, run_errors(done), a_map(), ROBOT, CONFIG))
+        reports.append(run_report(done, a_map(), ROBOT, CONFIG))
     first, second = reports
     assert first['result_hash'] == second['result_hash']
     assert set(first) >= {
@@ -113,9 +113,9 @@ def test_a_clock_that_was_set_back_is_no_error_of_the_pose(first):
     ]
     good, done = run(events), run(late)
     assert np.all(np.diff(done.stamps_ns) > 0)
-    truth, odometry = (run_errors(run).odometry for run in (good, done))
+    truth, odometry = (run.errors.odometry for run in (good, done))
     np.testing.assert_allclose(odometry, truth, atol=1e-6)
-    np.testing.assert_allclose(run_errors(done).fused[-5:], run_errors(good).fused[-5:], atol=0.15)
+    np.testing.assert_allclose(done.errors.fused[-5:], good.errors.fused[-5:], atol=0.15)
 
 
 def test_stamps_that_go_back_alone_or_a_little_stay():
@@ -160,7 +160,7 @@ def test_evo_agrees(beside, tmp_path):
     from evo.tools import file_interface
 
     write_tum_files(beside, tmp_path)
-    errors = run_errors(beside)
+    errors = beside.errors
     for name, ours in (('fused', errors.fused), ('odometry', errors.odometry)):
         truth, estimate = (
             file_interface.read_tum_trajectory_file(tmp_path / f'{file}.tum')

@@ -18,7 +18,7 @@ from landmark_nav.evaluation.report import (
     write_video,
 )
 from landmark_nav.evaluation.report.collect import page_html
-from landmark_nav.evaluation.run_report import pose_report, run_errors, spells
+from landmark_nav.evaluation.run_report import pose_report, spells
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.learning.pipeline import LearningResult
 from landmark_nav.types import CameraFrame, Candidate, Refusal
@@ -76,9 +76,9 @@ def page_of(truth=True, camera=True, **given):
         reason = HOSTILE if update.status == 'lost' else ''
         updates.append(replace(update, observation=observation, reason=reason))
     run = replace(run, updates=tuple(updates))
-    report = {**pose_report(run, run_errors(run), landmarks), 'spells': spells(run)}
+    report = {**pose_report(run, landmarks), 'spells': spells(run)}
     page = drive_page(
-        report, run, run_errors(run), given.pop('landmarks', landmarks),
+        report, run, given.pop('landmarks', landmarks),
         Calibration.of_mount(MOUNT), strip,
     )  # fmt: skip
     candidates = (Candidate(100.0, 40.0, 20, 20, 1.0), Candidate(399.0, 40.0, 20, 20, 0.5))

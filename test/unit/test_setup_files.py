@@ -11,8 +11,13 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.localization.odometry.noise import OdometryNoiseConfig
 from landmark_nav.simulation.setup_documents import robot_document
-from landmark_nav.storage.robot_files import load_calibration, load_odometry, save_calibration
-from landmark_nav.storage.setup_files import load_camera, load_robot, load_room
+from landmark_nav.storage.robot_files import (
+    load_calibration,
+    load_odometry,
+    load_robot,
+    save_calibration,
+)
+from landmark_nav.storage.setup_files import load_camera, load_room
 
 ROOM = """\
 frame_id: hall
@@ -135,7 +140,7 @@ def test_robot_as_written_and_defaults(tmp_path):
                 ('optical_center_offset: [40, 0, 0]', r'offset is \[40.*\]: lengths are metres'),
                 ('optical_centre_offset: [0, 0, 0]', 'write optical_center_offset'),
                 ('camera_roll: over', "camera_roll is 'over', not a number"),
-                ('camera_roll: 180', 'camera_roll is 180, .* in radians'),
+                ('camera_roll: 180', 'camera_roll is 180: .* in radians'),
                 ('tilt_joint: pan_joint', 'pan_joint and tilt_joint are both'),
                 ("pan_joint: ''", "pan_joint is '', not a name"),
                 ('pan_min: -90', 'pan_min is -90.*radians'),

@@ -26,7 +26,8 @@ from landmark_nav.simulation.world import (
     sweep_messages,
 )
 from landmark_nav.storage.bags import Bag, BagWriter, read_sweeps
-from landmark_nav.storage.setup_files import load_camera, load_robot, load_room
+from landmark_nav.storage.robot_files import load_robot
+from landmark_nav.storage.setup_files import load_camera, load_room
 from landmark_nav.types import JointSample
 
 SCENE = generate_scene(11)

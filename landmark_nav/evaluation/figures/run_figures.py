@@ -10,7 +10,7 @@ import numpy as np
 from landmark_nav.evaluation.figures import style
 from landmark_nav.evaluation.figures.map_figure import draw_landmarks
 from landmark_nav.evaluation.replay import Replay
-from landmark_nav.evaluation.run_report import errors_by_axis, path_of, RunErrors, Smoothed
+from landmark_nav.evaluation.run_report import errors_by_axis, path_of, Smoothed
 from landmark_nav.types import FloatArray, LandmarkMap
 
 
@@ -44,7 +44,7 @@ def draw_trajectory(
     style.save(figure, path)
 
 
-def draw_errors(run: Replay, errors: RunErrors, path: Path) -> None:
+def draw_errors(run: Replay, path: Path) -> None:
     """
     Draw the errors ahead, to the left and in heading, with +-3 sigma by the covariance.
 
@@ -54,7 +54,7 @@ def draw_errors(run: Replay, errors: RunErrors, path: Path) -> None:
     figure = style.new_figure(10.0, 7.6)
     rows = figure.subplots(4, 1, sharex=True, height_ratios=[3.0, 3.0, 3.0, 1.0])
     seconds = 1e-9 * (run.stamps_ns - run.begin_ns).astype(np.float64)
-    by_axis = errors_by_axis(run, errors.fused, errors.triangulation)
+    by_axis = errors_by_axis(run, run.errors.triangulation)
     for axes, one in zip(rows[:3], by_axis, strict=True):
         look = {'color': style.FUSED, 'alpha': 0.18, 'linewidth': 0, 'label': '±3 sigma'}
         axes.fill_between(seconds, -one.band, one.band, **look)

@@ -23,7 +23,7 @@ from landmark_nav.evaluation.calibration_run import Residuals
 from landmark_nav.evaluation.metrics import pose_errors
 from landmark_nav.evaluation.replay import Replay
 from landmark_nav.evaluation.report import tables
-from landmark_nav.evaluation.run_report import errors_by_axis, path_of, RunErrors, Smoothed
+from landmark_nav.evaluation.run_report import errors_by_axis, path_of, Smoothed
 from landmark_nav.geometry.walls import Marker, Paper
 from landmark_nav.image_codec import encode_image
 from landmark_nav.learning.pipeline import LearningResult
@@ -99,7 +99,6 @@ class Page(TypedDict):
 def drive_page(
     report: Mapping[str, Any],
     run: Replay,
-    errors: RunErrors,
     landmarks: LandmarkMap,
     calibration: Calibration,
     strip: FrameStrip,
@@ -124,7 +123,7 @@ def drive_page(
         'map': _map(landmarks, papers, found, expected),
         'run': _drive(run, chosen, landmarks, calibration, strip, smoothed),
         'images': [_base64(copied) for _, copied in sorted(strip.jpegs.items())],
-        'charts': _charts(run, errors, chosen),
+        'charts': _charts(run, chosen),
     }
     title = 'Errors over time' if len(run.truth) else 'Claimed errors over time'
     return _page(tables.drive_verdict(report), tables.drive_tables(report), data, title)
@@ -312,15 +311,15 @@ def _seen(
     return entries
 
 
-def _charts(run: Replay, errors: RunErrors, chosen: npt.NDArray[np.intp]) -> list[dict[str, Any]]:
+def _charts(run: Replay, chosen: npt.NDArray[np.intp]) -> list[dict[str, Any]]:
     """Errors ahead, to the left and in heading, +-3 sigma and protection levels."""
     # Without ground truth, triangulated poses are compared with the fused ones.
     known = len(run.truth) > 0
-    off = errors.triangulation if known else pose_errors(run.fixes, run.fused)
+    off = run.errors.triangulation if known else pose_errors(run.fixes, run.fused)
     levels = np.array([(np.nan,) * 2 if u.level is None else tuple(u.level) for u in run.updates])
     seconds = _numbers(1e-9 * (run.stamps_ns[chosen] - run.begin_ns), 3)
     charts = []
-    for k, one in enumerate(errors_by_axis(run, errors.fused, off)):
+    for k, one in enumerate(errors_by_axis(run, off)):
         series = [
             ('±3 sigma', 'band', 'fused', one.band),
             ('protection level', 'level', 'level', one.factor * levels[:, max(k - 1, 0)]),

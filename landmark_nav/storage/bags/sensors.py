@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from math import inf
 
@@ -81,17 +81,44 @@ def sensor_events(
 
     Raises `LandmarkNavError`: a topic is missing, or none of its messages can be used.
     """
-    if not bag.find(*DRIVE_IMAGES) and bag.find('detections'):
-        yield from _detections_and_motion(bag)
-        return
-    images = bag.require(*DRIVE_IMAGES)
-    odometry = bag.require('odom')
+    has_images = bool(bag.find(*DRIVE_IMAGES)) or not bag.find('detections')
+    seen = bag.require(*DRIVE_IMAGES) if has_images else bag.require('detections')
+    odometry, truth = bag.require('odom'), bag.find('ground_truth/odom')
+    late_odometry = round(1e9 * odometry_delay_s)
+
+    def moved(entry: BagMessage) -> OdometrySample:
+        sample = decode.odometry(entry.message)
+        return replace(sample, stamp_ns=sample.stamp_ns - late_odometry)
+
+    decoders: dict[str, Callable[[BagMessage], SensorEvent]] = {
+        seen: _frame_decoder(bag, mount, joint_delay_s, image_delay_s)
+        if has_images
+        else lambda entry: decode.detections(entry.message),
+        odometry: moved,
+    }
+    if truth is not None:
+        decoders[truth] = truth_decoder(bag, truth)
+    kinds = dict.fromkeys(decoders, 'messages') | ({seen: 'images'} if has_images else {})
+    filters = {
+        topic: MessageFilter(bag, topic, kind, needed=topic != truth)
+        for topic, kind in kinds.items()
+    }
+    messages = once(bag.messages(decoders))
+    for entry in _images_last(messages, seen, odometry) if has_images else messages:
+        event = filters[entry.topic].take(decoders[entry.topic], entry)
+        if event is not None:
+            yield event
+    for message_filter in filters.values():
+        message_filter.report()
+
+
+def _frame_decoder(
+    bag: Bag, mount: PanTiltMount, joint_delay_s: float, image_delay_s: float
+) -> Callable[[BagMessage], CameraFrame]:
+    """Return a decoder of images, with pan and tilt at their corrected stamps."""
     cameras = CameraInfos.read(bag, 'camera/camera_info')
     joints = JointLog.read(bag, mount)
-    truth = bag.find('ground_truth/odom')
-    late_joints, late_image, late_odometry = (
-        round(delay_s * 1e9) for delay_s in (joint_delay_s, image_delay_s, odometry_delay_s)
-    )
+    late_joints, late_image = (round(1e9 * delay_s) for delay_s in (joint_delay_s, image_delay_s))
     depth = decode.BitDepth()
 
     def frame(entry: BagMessage) -> CameraFrame:
@@ -106,37 +133,7 @@ def sensor_events(
             )
         return CameraFrame(image=pixels, camera=camera, **(vars(sample) | {'stamp_ns': stamp}))
 
-    def earlier(sample: OdometrySample) -> OdometrySample:
-        return replace(sample, stamp_ns=sample.stamp_ns - late_odometry)
-
-    decoders: dict[str, Callable[[BagMessage], SensorEvent]] = {
-        images: frame,
-        odometry: lambda entry: earlier(decode.odometry(entry.message)),
-    }
-    if truth is not None:
-        decoders[truth] = truth_decoder(bag, truth)
-    messages = _images_last(once(bag.messages(decoders)), images, odometry)
-    yield from _usable(bag, messages, decoders, {images: 'images'})
-
-
-def _usable(
-    bag: Bag,
-    messages: Iterable[BagMessage],
-    decoders: Mapping[str, Callable[[BagMessage], SensorEvent]],
-    names: Mapping[str, str],
-) -> Iterator[SensorEvent]:
-    """Yield decoded messages; unusable ones are left out and reported by the `names` of topics."""
-    truth = bag.find('ground_truth/odom')
-    filters = {
-        topic: MessageFilter(bag, topic, names.get(topic, 'messages'), needed=topic != truth)
-        for topic in decoders
-    }
-    for entry in messages:
-        event = filters[entry.topic].take(decoders[entry.topic], entry)
-        if event is not None:
-            yield event
-    for message_filter in filters.values():
-        message_filter.report()
+    return frame
 
 
 def _images_last(
@@ -164,14 +161,3 @@ def _stamp(entry: BagMessage) -> float:
         return decode.stamp_ns(entry.message.header)
     except LandmarkNavError:
         return inf
-
-
-def _detections_and_motion(bag: Bag) -> Iterator[SensorEvent]:
-    """Yield recorded detections, odometry and ground truth of a bag without images."""
-    decoders: dict[str, Callable[[BagMessage], SensorEvent]] = {
-        bag.require('detections'): lambda entry: decode.detections(entry.message),
-        bag.require('odom'): lambda entry: decode.odometry(entry.message),
-    }
-    if truth := bag.find('ground_truth/odom'):
-        decoders[truth] = truth_decoder(bag, truth)
-    yield from _usable(bag, once(bag.messages(decoders)), decoders, {})

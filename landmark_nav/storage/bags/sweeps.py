@@ -38,10 +38,8 @@ class _Plan:
     samples: tuple[JointSample, ...]
     # Stamp of the image of each sample; None if it is missing.
     stamps_ns: tuple[int | None, ...]
-    # Decoded frames by the stamp of the image.
-    frames: dict[int, CameraFrame] = field(default_factory=dict)
-    # Bit depth at which each frame was decoded, by stamp.
-    bits: dict[int, int] = field(default_factory=dict)
+    # Decoded frames, and the bit depth at which each was decoded, by the stamp of the image.
+    frames: dict[int, tuple[CameraFrame, int]] = field(default_factory=dict)
     # Errors of images that cannot be used, by stamp.
     unusable: dict[int, str] = field(default_factory=dict)
 
@@ -88,15 +86,16 @@ def read_sweeps(bag: Bag, mount: PanTiltMount) -> Iterator[Sweep]:
         while not plan.is_complete and (entry := next(entries, None)) is not None:
             _add(bag, entry, cameras, depth, at)
         last = plan is plans[-1]
-        ordered = [(plan.frames[stamp], plan.bits[stamp]) for stamp in sorted(plan.frames)]
-        frames = [replace(one, image=depth.lowered(one.image, bits)) for one, bits in ordered]
+        frames = [
+            replace(one, image=depth.lowered(one.image, bits))
+            for _, (one, bits) in sorted(plan.frames.items())
+        ]
         if plan.unusable:
             _check_unusable(bag, topic, plan, numbers, frames)
         if _covers(bag, plan, frames, cut_off=last and not bag.complete):
             yield Sweep(plan.start_ns, tuple(frames), pose)
         plan.frames.clear()
         frames.clear()
-        ordered.clear()
 
 
 def _add(
@@ -122,9 +121,8 @@ def _add(
         return
     sample = plan.samples[k]
     plan.unusable.pop(stamp, None)
-    plan.bits[stamp] = depth.bits
-    angles = sample.pan_rad, sample.tilt_rad
-    plan.frames[stamp] = CameraFrame(sample.stamp_ns, image, camera, *angles)
+    frame = CameraFrame(sample.stamp_ns, image, camera, sample.pan_rad, sample.tilt_rad)
+    plan.frames[stamp] = frame, depth.bits
 
 
 def _check_unusable(
