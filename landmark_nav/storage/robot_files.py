@@ -97,7 +97,7 @@ _SIGMAS = {
     'camera_roll_sigma': ('camera_roll',),
 }
 # Quantities that a mount does not hold. Their fields have their names; sigmas end in `_sigma`.
-_SCALARS = ('camera_tilt', 'pan_scale', *LENS, 'joint_delay')
+_SCALARS = ('camera_tilt', 'pan_scale', *LENS, 'joint_delay', 'row_delay')
 _SIGMAS |= {f'{name}_sigma': (name,) for name in _SCALARS}
 _OF_AXIS = ('xyz_sigma', 'rpy_sigma')
 # Greatest sigma by unit; a larger one is given in another unit.
@@ -161,7 +161,7 @@ def load_odometry(path: Path | str, default: T, former: Mapping[str, Any] | None
 
 
 def _correlations(entries: Any) -> FloatArray:
-    """Return the correlation matrix (16, 16) of entries [name, name, number]."""
+    """Return the correlation matrix (17, 17) of entries [name, name, number]."""
     together = np.eye(len(NAMES))
     wrong = f'correlations: give [name, name, -1 to 1], with two of {", ".join(NAMES[:2])}, ...'
     if not isinstance(entries, list) or len(entries) > len(NAMES) ** 2:

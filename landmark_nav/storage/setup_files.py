@@ -69,7 +69,8 @@ ROBOT_FIELDS = (
     *('optical_center_offset_sigma', 'camera_roll_sigma', 'camera_tilt', 'camera_tilt_sigma'),
     *('pan_scale', 'pan_scale_sigma', 'focal_scale', 'focal_scale_sigma', 'principal_point'),
     *('principal_point_sigma', 'distortion', 'distortion_sigma'),
-    *('joint_delay', 'joint_delay_sigma', 'correlations', 'odometry', *MOUNT_FIELDS),
+    *('joint_delay', 'joint_delay_sigma', 'row_delay', 'row_delay_sigma', 'correlations'),
+    *('odometry', *MOUNT_FIELDS),
 )
 _AXIS_FIELDS = ('xyz', 'rpy', 'xyz_sigma', 'rpy_sigma')
 

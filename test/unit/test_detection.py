@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import cv2
 from east_wall import (
     detect,
     EAST,
@@ -154,6 +155,19 @@ def test_a_floor_that_is_tilted_moves_all_heights_and_refuses_none(over):
     frame = draw_frame(SCENE, LENS, tilted, HERE)
     frame = replace(frame, tilt_rad=over.get('tilt_rad', 0.0))
     assert len(detect(frame, HERE).detections) == 4
+
+
+def test_landmarks_are_found_where_a_rolling_shutter_shows_them():
+    shear = 0.04
+    still = draw_frame(SCENE, LENS, MOUNT, HERE)
+    rays = LENS.unproject(np.indices((LENS.height, LENS.width))[::-1].transpose(1, 2, 0))
+    at = LENS.project(rays - shear * rays[..., 1:2] * [1.0, 0.0, 0.0]).astype(np.float32)
+    image = cv2.remap(still.image, at[..., 0], at[..., 1], cv2.INTER_LINEAR)
+    rolled = detect(replace(still, image=image, row_shear=shear), HERE)
+    assert len(rolled.detections) == 4
+    assert np.abs(errors_of(rolled, HERE)).max() < 2.0 * np.sqrt(
+        rolled.detections.variance_rad2.max()
+    )
 
 
 PLAIN = CameraModel(512, 512, 555.0, 555.0, 256.0, 256.0, distortion=(-0.1, 0.02, 0.0, 0.0))
