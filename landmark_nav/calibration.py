@@ -37,6 +37,7 @@ _QUANTITIES: dict[str, tuple[str, float, str]] = {
     'principal_point': ('1', 0.001, 'principal point to the right, over the focal length'),
     'distortion': ('1', 0.02, 'error of the first radial distortion coefficient, k1'),
     'joint_delay': ('s', 0.03, 'time by which joint_states lag the images'),
+    'row_delay': ('s', 0.03, 'time by which rows a focal length further down are exposed later'),
 }
 NAMES: tuple[str, ...] = tuple(_QUANTITIES)
 # Those of the lens, which follow each other.
@@ -66,16 +67,17 @@ _OBSERVED = 0.3
 @dataclass(frozen=True, eq=False)
 class Calibration:
     """
-    Values (16,) of `NAMES` with their joint covariance, and the mount that they belong to.
+    Values (17,) of `NAMES` with their joint covariance, and the mount that they belong to.
 
     They are the position [m] of the pan axis in ``base_link`` and its roll, pitch and yaw [rad] at
     pan 0; the position [m] of the optical centre in the frame that turns; roll and tilt [rad] of
     the camera in that frame; relative errors of the pan and of the focal length; the shift of the
     principal point to the right over the focal length; the error of k1; the time [s] by which the
-    stamps of ``joint_states`` lag those of the images. `by_map` (16, m) is their covariance with
-    the m factors of unit variance that all landmarks of a map share, if the map was learned with
-    this calibration. `intrinsics` (5,) are the `CameraModel.intrinsics` by camera_info that the
-    values of the lens correct; None: those of any camera.
+    stamps of ``joint_states`` lag those of the images; the time [s] by which a rolling shutter
+    exposes rows later that are one focal length further down. `by_map` (17, m) is their covariance
+    with the m factors of unit variance that all landmarks of a map share, if the map was learned
+    with this calibration. `intrinsics` (5,) are the `CameraModel.intrinsics` by camera_info that
+    the values of the lens correct; None: those of any camera.
 
     Raises `LandmarkNavError`: a value is not finite, the matrix is not a covariance, or it is less
     than the shared factors make of it.
@@ -130,7 +132,7 @@ class Calibration:
 
     @cached_property
     def sigmas(self) -> FloatArray:
-        """Sigmas of the values, (16,)."""
+        """Sigmas of the values, (17,)."""
         return np.sqrt(np.clip(np.diag(self.covariance), 0.0, None))
 
     @cached_property

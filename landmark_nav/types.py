@@ -73,11 +73,12 @@ class Expectation(PoseEstimate):
     The covariance is that of the pan axis with the azimuth of the camera: errors of heading and
     pan zero that cancel are not part of it. Of the calibration, only standard deviations are used,
     not the correlations. `tilt_sigma_rad` is that of the elevation of the view: of base, axis and
-    camera together.
+    camera together; `turn_rate_rad_s` is the rate of the base.
     """
 
     calibration: Calibration
     tilt_sigma_rad: float
+    turn_rate_rad_s: float = 0.0
 
     def pan_sigma_rad(self, pan_rate_rad_s: float) -> float:
         """Standard deviation of the pan at this rate, without that of the pan zero."""
@@ -152,7 +153,8 @@ class CameraFrame:
     One image with the joint angles at its stamp.
 
     `image` is BGR (height, width, 3) or grey (height, width), uint8. `roll_rad` is an additional
-    rotation about the optical axis, from calibration.
+    rotation about the optical axis, from calibration. `row_turn_rad` is how far the camera turns
+    to the left until rows one focal length further down are exposed, by a rolling shutter.
     """
 
     stamp_ns: int
@@ -164,6 +166,7 @@ class CameraFrame:
     pan_rate_rad_s: float = 0.0
     pan_sigma_rad: float = 0.0
     pan_track: PanTrack | None = None
+    row_turn_rad: float = 0.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -188,8 +191,8 @@ class Panorama:
     ``base_link`` +x. `center_map` (3,) is the viewpoint (pan axis at the height of the optical
     centre) in map, `heading_rad` the heading of the base there, `covariance` (4, 4) that of x, y,
     z, heading. `quality` and `calibration` are those after the sweep; messages hold no quality.
-    `made_with` (16,) are the values of the calibration with which the image was synthesized;
-    `by_calibration` (4, 16) are the derivatives of x, y, z, heading by the calibration, 0 if
+    `made_with` (17,) are the values of the calibration with which the image was synthesized;
+    `by_calibration` (4, 17) are the derivatives of x, y, z, heading by the calibration, 0 if
     anchor papers located the camera itself.
     """
 
@@ -451,8 +454,9 @@ class Detections:
     camera_info, x/z to the right, y/z down, with a covariance without that by an error of the
     focal length; empty where only bearings are known. `sizes` (n, 2) are width and height of the
     templates in these coordinates; empty if unknown. `by_lens` (n, 2, 3) are derivatives of the
-    points of these pixels by focal scale, principal point and distortion. `intrinsics` (5,) are
-    those of the camera, see `CameraModel`; None if unknown.
+    points of these pixels by focal scale, principal point and distortion. `below` (n,) are their
+    rows below the principal point, in focal lengths. `intrinsics` (5,) are those of the camera,
+    see `CameraModel`. These are None if unknown.
 
     `missed` (m,) are landmarks that should be in view, were searched and were not found. `pan_rad`
     is the pan of the `JointSample` at `joint_delay_s` (assumed) after the stamp, as azimuth in
@@ -475,6 +479,7 @@ class Detections:
     point_covariance: FloatArray = field(default_factory=lambda: np.empty((0, 2, 2)))
     sizes: FloatArray = field(default_factory=lambda: np.empty((0, 2)))
     by_lens: FloatArray | None = None
+    below: FloatArray | None = None
     near: FloatArray | None = None
     intrinsics: FloatArray | None = None
 
@@ -489,5 +494,5 @@ class Detections:
         names += ['covariance_px2'] if len(self.covariance_px2) else []
         names += ['points', 'point_covariance'] if len(self.points) else []
         names += ['sizes'] if len(self.sizes) else []
-        names += [] if self.by_lens is None else ['by_lens']
+        names += [name for name in ('by_lens', 'below') if getattr(self, name) is not None]
         return replace(self, **{name: getattr(self, name)[which] for name in names})

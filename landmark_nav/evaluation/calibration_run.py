@@ -40,7 +40,7 @@ _SHOWN_BY = {
     ),
     'a sweep near textured walls': ('center_x', 'center_y'),
     'a sweep over a full turn': ('pan_scale', 'focal_scale', 'camera_roll', 'camera_tilt'),
-    'images during pan motion, slow and fast, in both directions': ('joint_delay',),
+    'images during pan motion, slow and fast, in both directions': ('joint_delay', 'row_delay'),
     'the same landmarks at the left and at the right border of the image': (
         'principal_point',
         'distortion',

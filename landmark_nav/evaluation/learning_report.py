@@ -141,7 +141,7 @@ def _place(
 def _by_mount(
     pose: FloatArray, panorama: Panorama, known: Calibration, own_frame: bool
 ) -> FloatArray:
-    """Derivatives (3, 16) of a pose of the base by the mount, for a measured pose of the axis."""
+    """Derivatives (3, 17) of a pose of the base by the mount, for a measured pose of the axis."""
     # In the frame of the first sweep, the same errors move its base.
     jacobian = np.zeros((3, len(NAMES)))
     which = [NAMES.index(name) for name in ('axis_x', 'axis_y', 'axis_yaw')]

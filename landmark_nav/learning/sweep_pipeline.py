@@ -458,7 +458,7 @@ def _range_of_ray(
 
 
 def _by_calibration(place: SweepPlace, found: SweepCalibration) -> FloatArray:
-    """Derivative (4, 16) of the viewpoint by the calibration; 0 if papers locate the camera."""
+    """Derivative (4, 17) of the viewpoint by the calibration; 0 if papers locate the camera."""
     jacobian = np.zeros((4, len(NAMES)))
     if found.sweep.pose_map_base is not None:
         jacobian[:2, :2] = se2.rotation(place.pose_map_base[2])

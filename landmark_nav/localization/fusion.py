@@ -307,6 +307,7 @@ class Fusion:
                 np.full(len(columns), at.pan_rad), at.tilt_rad, at.pan_rate_rad_s,
                 at.pan_sigma_rad, at.pan_track, missed=missed, near=found.near,
                 sizes=found.sizes if len(found.sizes) else None, by_lens=found.by_lens,
+                below=found.below,
             )  # fmt: skip
         mount = self.calibration.mount if len(found.points) else self._prior.mount
         looked: float | None = None if len(found.points) else found.pan_rad

@@ -176,8 +176,10 @@ class Observation:
         return self.triangulate()
 
 
-def straight(frame: CameraFrame, calibration: Calibration) -> CameraFrame:
-    """Return an image with camera and joints corrected by a calibration."""
+def straight(
+    frame: CameraFrame, calibration: Calibration, turn_rate_rad_s: float = 0.0
+) -> CameraFrame:
+    """Return an image with camera and joints corrected by a calibration; the base may turn."""
     delay_s, track = calibration['joint_delay'][0], frame.pan_track
     pan = frame.pan_rad
     if track is None:
@@ -191,7 +193,13 @@ def straight(frame: CameraFrame, calibration: Calibration) -> CameraFrame:
         camera=_calibrated(frame.camera, *lens),
         pan_rad=pan * (1.0 + calibration['pan_scale'][0]),
         tilt_rad=frame.tilt_rad + calibration['camera_tilt'][0],
+        row_turn_rad=calibration['row_delay'][0] * _turning(frame, calibration, turn_rate_rad_s),
     )
+
+
+def _turning(frame: CameraFrame, calibration: Calibration, turn_rate_rad_s: float) -> float:
+    """Rate of the azimuth of the camera, to the left."""
+    return calibration.base.pan_sense * frame.pan_rate_rad_s + turn_rate_rad_s
 
 
 @lru_cache(maxsize=8)
@@ -269,7 +277,7 @@ class Observer:
         place = self._narrowed(frame, expected)
         if place is not None:
             expected = replace(expected, pose=place.pose, covariance=place.covariance)
-        upright = straight(frame, expected.calibration)
+        upright = straight(frame, expected.calibration, expected.turn_rate_rad_s)
         pan, tilt, mount = upright.pan_rad, upright.tilt_rad, expected.calibration.mount
         visible = visible_landmarks(
             expected, self._map, upright.camera, mount, pan, tilt, config.triplet
@@ -300,6 +308,7 @@ class Observer:
             points=points,
             point_covariance=covariance,
             by_lens=by_lens,
+            below=(seen.uv_px[:, 1] - frame.camera.cy) / frame.camera.fy,
             sizes=sizes / [frame.camera.fx, frame.camera.fy],
             near=None if place is None else place.pose,
             intrinsics=frame.camera.intrinsics,
@@ -318,7 +327,8 @@ class Observer:
             return None
         known = expected.calibration
         verifier = PlaceVerifier(self._map.distinct, known.mount, self._config)
-        place = localize_within_prior(straight(frame, known), expected, verifier)
+        upright = straight(frame, known, expected.turn_rate_rad_s)
+        place = localize_within_prior(upright, expected, verifier)
         if isinstance(place, Refusal):
             return None
         self._vain = 0
@@ -339,7 +349,11 @@ class Observer:
         # An error of the focal length shifts it by most at its border.
         focal, camera = expected.calibration['focal_scale'][1], frame.camera
         lens = 0.5 * focal * camera.width / camera.fx
-        turned = np.diag([0.0, 0.0, pan**2 + frame.pan_sigma_rad**2 + lens**2])
+        # A rolling shutter shifts its highest and lowest rows most.
+        turning = _turning(frame, expected.calibration, expected.turn_rate_rad_s)
+        late = 0.5 * expected.calibration['row_delay'][1] * camera.height / camera.fy
+        squares = [pan, frame.pan_sigma_rad, lens, late * turning]
+        turned = np.diag([0.0, 0.0, float(np.sum(np.square(squares)))])
         rises_px = camera.fy * expected.tilt_sigma_rad, 0.5 * focal * camera.height
         rise_px = np.linalg.norm([config.detection.vertical_sigma_px, *rises_px])
         detection = replace(config.detection, vertical_sigma_px=min(_MOST_RISE_PX, float(rise_px)))

@@ -90,7 +90,8 @@ class Layout:
 # optical axis).
 #
 # `point` and the `size` of the template are in normalised image coordinates by camera_info,
-# `by_lens` its derivatives by focal scale, principal point and distortion, row by row; a
+# `by_lens` its derivatives by focal scale, principal point and distortion, row by row; `below`
+# the row of the pixel below the principal point, in focal lengths; a
 # covariance of zero means that there is none. All rows repeat the joint delay that the node
 # assumes; `near`, the pose of the base found in this image by a search within an uncertain prior,
 # zero without a search; and the `intrinsics` of the camera, zero if unknown.
@@ -99,7 +100,8 @@ DETECTIONS = Layout(
     'id=ids:u4 bearing=bearing_rad:f8[1e4] bearing_variance=variance_rad2:f8[1e-14,1e12] score:f4 '
     'u:f4 v:f4',
     optional='point=points:f8*2[1e3] point_covariance:f8*4 size=sizes:f8*2[0,1e3] '
-    'by_lens:f8*6[1e3] joint_delay=joint_delay_s:f8[10] near:f8*3[2e7] intrinsics:f8*5[1e3]',
+    'by_lens:f8*6[1e3] below:f8[1e3] joint_delay=joint_delay_s:f8[10] near:f8*3[2e7] '
+    'intrinsics:f8*5[1e3]',
     common=('joint_delay', 'near', 'intrinsics'),
 )
 
@@ -108,7 +110,7 @@ DETECTIONS = Layout(
 EXPECTATION = Layout(
     'expectation',
     'pose:f8*3[2e7] covariance:f8*9 speeds:f8*2[1e3] tilt_sigma=tilt_sigma_rad:f8[0,100] '
-    'values:f8*16[100] sigmas:f8*16[0,100]',
+    'values:f8*17[100] sigmas:f8*17[0,100]',
     optional='intrinsics:f8*5[1e3]',
 )
 

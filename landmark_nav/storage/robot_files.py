@@ -258,7 +258,7 @@ def load_odometry(path: Path | str, default: T, former: Mapping[str, Any] | None
 
 
 def _correlations(entries: Any) -> FloatArray:
-    """Return the correlation matrix (16, 16) of entries [name, name, number]."""
+    """Return the correlation matrix (17, 17) of entries [name, name, number]."""
     together = np.eye(len(NAMES))
     wrong = f'correlations: give [name, name, -1 to 1], with two of {", ".join(NAMES[:2])}, ...'
     if not isinstance(entries, list) or len(entries) > len(NAMES) ** 2:

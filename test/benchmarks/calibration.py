@@ -12,7 +12,7 @@ with the default sigmas of a nominal `robot.yaml` and drives for 16 s from a giv
 ``--rooms SEED ...`` simulates rooms instead, with a mount, lens and clock that are drawn at
 random, learns them and calibrates by a drive of at most three minutes. A line gives the errors of
 lever, pan zero, focal length and delay, each with its sigma, the bound of pan zero by side slip,
-NEES of the calibration over its 16 values, and the errors of localization with the found and with
+NEES of the calibration over its values, and the errors of localization with the found and with
 the true mount.
 """
 

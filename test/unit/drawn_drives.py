@@ -112,9 +112,11 @@ def simulated(
         state = np.concatenate([pose, noise * floor_roll, np.zeros(CALIBRATION - 5), true.values])
         blank = _panned(tick * PERIOD_S, len(learned.landmarks), pixel_sigma)
         off = noise * rng.normal(0.0, true.base.pan_sigma_rad)
-        model = project(
-            state, learned.positions + shared + own, replace(blank, pan_rad=blank.pan_rad + off)
-        )
+        places = learned.positions + shared + own
+        blank = replace(blank, speeds=step.increment / PERIOD_S)
+        # The rows of what is seen while the camera turns are hardly those at rest.
+        blank = replace(blank, below=project(state, places, blank).points[:, 1])
+        model = project(state, places, replace(blank, pan_rad=blank.pan_rad + off))
         inside = model.ahead & (np.abs(model.points) < HALF_VIEW).all(axis=1)
         chosen = np.isin(np.arange(len(inside)), rng.permutation(np.flatnonzero(inside))[:MOST])
         points = model.points + noise * pixel_sigma * rng.normal(size=model.points.shape)

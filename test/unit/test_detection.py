@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 from east_wall import (
+    CONFIG,
     detect,
     EAST,
     errors_of,
@@ -39,7 +40,7 @@ from landmark_nav.geometry.se2 import rot_z
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig
 from landmark_nav.localization.detection.appearance import textures
 from landmark_nav.localization.detection.correlation import detect_landmarks
-from landmark_nav.localization.detection.expectation import DetectionConfig, View
+from landmark_nav.localization.detection.expectation import DetectionConfig, expect, View
 from landmark_nav.localization.detection.rows import RowModel, RowResiduals, wrong_heights
 from landmark_nav.localization.localizer import LocalizationConfig, Localizer
 from landmark_nav.localization.relocalization.stream import Relocalizer
@@ -154,6 +155,23 @@ def test_a_floor_that_is_tilted_moves_all_heights_and_refuses_none(over):
     frame = draw_frame(SCENE, LENS, tilted, HERE)
     frame = replace(frame, tilt_rad=over.get('tilt_rad', 0.0))
     assert len(detect(frame, HERE).detections) == 4
+
+
+@pytest.mark.parametrize('hung_rad', [0.0, np.pi / 2, np.pi])
+def test_landmarks_are_expected_where_a_rolling_shutter_shows_them(hung_rad):
+    """Also where the camera is mounted on its side, or upside down."""
+    turn_rad, every = 0.1, np.arange(4)
+    still = replace(draw_frame(SCENE, LENS, MOUNT, HERE), roll_rad=hung_rad)
+
+    def expected(**changed):
+        view = View(replace(still, **changed), PoseEstimate(0, HERE, PRIOR), MOUNT)
+        return np.array([place.uv for place in expect(LANDMARKS, every, view, CONFIG)])
+
+    rolled = expected(row_turn_rad=turn_rad)
+    for k, row_px in enumerate(rolled[:, 1]):
+        later = expected(pan_rad=turn_rad * (row_px - LENS.cy) / LENS.fy)[k]
+        assert rolled[k] == pytest.approx(later, abs=0.6)
+    assert np.abs(rolled - expected()).max() > 3.0
 
 
 PLAIN = CameraModel(512, 512, 555.0, 555.0, 256.0, 256.0, distortion=(-0.1, 0.02, 0.0, 0.0))

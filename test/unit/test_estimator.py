@@ -54,6 +54,7 @@ def image(pan_rad=0.4, track=None):
         0, np.arange(count), np.zeros((count, 2)), np.tile(1e-8 * np.eye(2), (count, 1, 1)),
         np.full(count, pan_rad), 0.05, 1.0, pan_track=track,
         by_lens=np.random.default_rng(5).normal(0.0, 0.2, (count, 2, 3)),
+        below=np.linspace(-0.4, 0.3, count), speeds=np.array([0.4, 0.1, -0.5]),
         moved_back=np.array([-0.03, 0.01, -0.05]),
     )  # fmt: skip
 

@@ -39,7 +39,7 @@ def seen(image):
     found = Detections(
         stamp_ns, image.columns.astype(np.int64), MOUNT.azimuth_base_rad(pan) - np.arctan(right),
         np.full(len(image), 2e-4**2), np.ones(len(image)), np.zeros((len(image), 2)),
-        points=image.points, point_covariance=image.covariance,
+        points=image.points, point_covariance=image.covariance, below=image.below,
     )  # fmt: skip
     return found, JointSample(stamp_ns, float(pan), 0.0, image.pan_rate_rad_s)
 

@@ -93,6 +93,9 @@ def detections(count):
         STAMP, np.arange(count) + 7, RNG.normal(size=count), RNG.random(count) + 0.1,
         RNG.random(count), 500 * RNG.random((count, 2)), np.array([50, 60])[: count // 2],
         joint_delay_s=0.04 if count else 0.0, intrinsics=np.ones(INTRINSICS) if count else None,
+        points=RNG.normal(size=(count, 2)), point_covariance=np.tile(np.eye(2), (count, 1, 1)),
+        sizes=RNG.random((count, 2)), below=RNG.normal(size=count),
+        by_lens=RNG.normal(size=(count, 2, 3)) if count else None,
     )  # fmt: skip
 
 
@@ -392,7 +395,8 @@ def rows_of(msg):
 
 
 @pytest.mark.parametrize(
-    ('at', 'value'), [(0, np.inf), (1, np.nan), (40, 1e300), (49, -1.0), (-1, 500.0)]
+    ('at', 'value'),
+    [(0, np.inf), (1, np.nan), (40, 1e300), (1 + 3 * len(NAMES), -1.0), (-1, 500.0)],
 )
 def test_what_learning_can_not_have_found_is_refused(at, value):
     msg, atlas, _ = encode.landmark_map(FACTORY, learned_map(7, 6), STAMP)

@@ -209,7 +209,7 @@ def _bearings(
     """Bearings (n,) at the pan axis in the base, and variances, by `rays` and pixel covariance."""
     if not landmarks:
         return np.empty(0), np.empty(0)
-    directions = rays @ view.rotation.T
+    directions = rays @ (view.rotation @ np.linalg.inv(view.shear)).T
     azimuth = np.arctan2(directions[..., 1], directions[..., 0])
     by_uv = 2.0 * wrap_rad(azimuth[:, 1:] - azimuth[:, :1])
     # The expected range transfers the bearing from the optical centre to the pan axis. Its error

@@ -63,6 +63,9 @@ class View:
             prior.pose, frame.pan_rad, frame.tilt_rad, frame.roll_rad
         )
         self.roll_rad = mount.camera_roll_rad + frame.roll_rad
+        # Lower rows are exposed later: a turn that grows with the row, small and near the axis.
+        right, down, _ = frame.row_turn_rad * self.rotation[2]
+        self.shear = np.array([[1.0, -down, 0.0], [0.0, 1.0 + right, 0.0], [0.0, 0.0, 1.0]])
         self.axis = mount.axis_pose_map(prior.pose)[:2]
 
 
@@ -106,7 +109,7 @@ def expect(
         return []
     position, normal = landmark_map.positions[indices], landmark_map.normals[indices]
     points = np.concatenate([position[:, None], landmark_map.corners[indices]], axis=1)
-    pixels = view.camera.project((points - view.center) @ view.rotation)
+    pixels = view.camera.project((points - view.center) @ view.rotation @ view.shear.T)
     # Left and upper sides first, also if the camera is upside down.
     u, v = np.sort(pixels[:, 1:], axis=1).transpose(2, 0, 1)
     width, height = view.camera.width, view.camera.height
@@ -118,7 +121,7 @@ def expect(
     corners[:, :, ~np.isfinite(pixels).all((1, 2))] = np.array([0.0, -1.0])[:, None, None]
     (left, top), (end_x, end_y) = corners.astype(int).tolist()
     window = _windows(position, landmark_map.covariances[indices], view, config)
-    maps = rays_to_patch(position, normal, view.rotation, view.center)
+    maps = rays_to_patch(position, normal, view.rotation, view.center) @ np.linalg.inv(view.shear)
     places = zip(pixels[:, 0], left, top, end_x, end_y, window, maps, strict=True)
     return [Expectation(*place) for place in places]
 

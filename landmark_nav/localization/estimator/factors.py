@@ -3,7 +3,8 @@ Models of images and wheels as functions of the state, with analytic derivatives
 
 A detection is a point of the normalised image plane (x/z to the right, y/z down), undistorted by
 the calibrated lens. It depends on pose and tilt of the base, mount, pan, focal length, principal
-point and joint delay. A measured bearing is the same with a camera that looks along it.
+point, joint delay and rolling shutter. A measured bearing is the same with a camera that looks
+along it.
 """
 
 from __future__ import annotations
@@ -19,7 +20,6 @@ from landmark_nav.arrays import IndexArray
 from landmark_nav.calibration import NAMES
 from landmark_nav.geometry.angles import PanTrack, wrap_rad
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
-from landmark_nav.geometry.se2 import compose, compose_jacobians
 from landmark_nav.localization.odometry.noise import Motion
 from landmark_nav.types import FloatArray
 
@@ -29,7 +29,7 @@ from landmark_nav.types import FloatArray
 POSE, FLOOR_TILT, SCALE, DRIFT, TURN_SCALE, SLIP, TURN_LOSS, CALIBRATION = 0, 3, 5, 6, 7, 8, 9, 10
 STATES = CALIBRATION + len(NAMES)
 _AXIS, _RPY, CENTER = CALIBRATION, CALIBRATION + 3, CALIBRATION + 6
-ROLL, TILT, PAN_SCALE, FOCAL, PRINCIPAL, _, DELAY = range(CALIBRATION + 9, STATES)
+ROLL, TILT, PAN_SCALE, FOCAL, PRINCIPAL, _, DELAY, ROW_DELAY = range(CALIBRATION + 9, STATES)
 YAW = _RPY + 2
 # Least depth of a visible point, m.
 _LEAST_DEPTH_M = 0.05
@@ -103,8 +103,13 @@ class ImagePoints:
     by_lens : ndarray, shape (m, 2, 3), optional
         Derivatives of the undistorted points of given pixels by focal scale, principal point and
         distortion; `points` are linearly extrapolated to the lens of camera_info.
+    below : ndarray, shape (m,), optional
+        Rows of given pixels below the principal point, in focal lengths; without them, a rolling
+        shutter has no effect.
     moved_back : ndarray, shape (3,)
         Pose of the base when the image was taken, in the base at the stamp.
+    speeds : ndarray, shape (3,)
+        Speeds of the base ahead and to the left, m/s, and its turning rate, rad/s.
     lost : bool
         Whether the pose was lost before: then no step is assumed, as another place is likelier.
     """
@@ -124,7 +129,9 @@ class ImagePoints:
     near: FloatArray | None = None
     sizes: FloatArray | None = None
     by_lens: FloatArray | None = None
+    below: FloatArray | None = None
     moved_back: FloatArray = field(default_factory=lambda: np.zeros(3))
+    speeds: FloatArray = field(default_factory=lambda: np.zeros(3))
     lost: bool = False
 
     def __len__(self) -> int:
@@ -183,16 +190,24 @@ class ImagePoints:
             pan_rad=self.pan_rad[which],
             sizes=None if self.sizes is None else self.sizes[which],
             by_lens=None if self.by_lens is None else self.by_lens[which],
+            below=None if self.below is None else self.below[which],
         )
 
-    def pans(self, delay_s: float) -> tuple[FloatArray, float]:
-        """Pans (m,) for a delay of the joint states, and their derivative by the delay."""
+    def pans(self, delay_s: float, later_s: FloatArray) -> tuple[FloatArray, float]:
+        """
+        Pans (m,) for a delay of the joint states, and their derivative by the delay.
+
+        Points are exposed later than the image by `later_s` (m,).
+        """
         track = self.pan_track
         if track is None:
-            return self.pan_rad + self.pan_rate_rad_s * delay_s, self.pan_rate_rad_s
+            return self.pan_rad + self.pan_rate_rad_s * (delay_s + later_s), self.pan_rate_rad_s
         step = self.delay_step_s
-        given, before, at, after = track.at([0.0, delay_s - step, delay_s, delay_s + step])
-        return self.pan_rad + (at - given), float((after - before) / (2.0 * step))
+        given, before, after = track.at([0.0, delay_s - step, delay_s + step])
+        return (
+            self.pan_rad + (track.at(delay_s + later_s) - given),
+            float((after - before) / (2.0 * step)),
+        )
 
     def bend_rad(self, delay_s: float) -> float:
         """Deviation of the pan from that derivative, one step away."""
@@ -225,17 +240,25 @@ def project(state: FloatArray, points_map: FloatArray, seen: ImagePoints) -> Pro
 
     Points behind the camera are marked in `ahead`; their values are finite.
     """
-    x, y, heading = compose(state[:3], seen.moved_back).tolist()
-    by_base, _ = compose_jacobians(state[:3], seen.moved_back)
+    count = len(points_map)
+    below = np.zeros(count) if seen.below is None else seen.below
+    later_s = float(state[ROW_DELAY]) * below
+    # Motion of the base, in map, from the stamp until each point was exposed.
+    c, s = math.cos(state[2]), math.sin(state[2])
+    to_map = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    speeds = to_map @ seen.speeds
+    motion = to_map @ seen.moved_back + later_s[:, None] * speeds
+    x, y, heading = (state[:3] + motion).T
     pitch, floor_roll = state[FLOOR_TILT:SCALE].tolist()
-    pans, by_delay = seen.pans(float(state[DELAY]))
+    pans, by_delay = seen.pans(float(state[DELAY]), later_s)
     scale = 1.0 + float(state[PAN_SCALE])
     tilt = seen.tilt_rad + float(state[TILT])
     axes, axis_from_base = _axis_frame(*state[_RPY : _RPY + 3].tolist())
     # A small pitch and roll of the base on an uneven floor, about its origin.
     tilting = np.array([[1.0, 0.0, -pitch], [0.0, 1.0, floor_roll], [pitch, -floor_roll, 1.0]])
-    c, s = math.cos(heading), math.sin(heading)
-    upright = (points_map - [x, y, 0.0]) @ np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+    from_map = _turning(heading, 0.0)
+    from_base = points_map - np.stack([x, y, np.zeros(count)], -1)
+    upright = (from_map @ from_base[:, :, None])[:, :, 0]
     # From the base to the frame of the camera, (m, 3, 3).
     turn = _turning(scale * pans, tilt) @ axis_from_base
     away = upright @ tilting.T - state[_AXIS:_RPY]
@@ -244,9 +267,8 @@ def project(state: FloatArray, points_map: FloatArray, seen: ImagePoints) -> Pro
 
     # Derivatives of `outer`: by x, y, heading, pitch and roll of the base, by the axis and its
     # angles, by the optical centre, by pan and tilt, by the point.
-    count = len(points_map)
     by = np.zeros((count, 3, 19))
-    by_point = turn @ (tilting @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]]))
+    by_point = turn @ tilting @ from_map
     by[:, :, :2] = -by_point[:, :, :2]
     moves = np.zeros((count, 3, 3))
     moves[:, 0, 0], moves[:, 1, 0] = upright[:, 1], -upright[:, 0]
@@ -274,7 +296,8 @@ def project(state: FloatArray, points_map: FloatArray, seen: ImagePoints) -> Pro
     points[:, 0] += state[PRINCIPAL]
     by_pan = scale * flat_by[:, :, 14]
     by_state = np.zeros((count, 2, STATES))
-    by_state[:, :, :FLOOR_TILT] = flat_by[:, :, :3] @ by_base
+    by_state[:, :, :FLOOR_TILT] = flat_by[:, :, :3]
+    by_state[:, :, 2] += flat_by[:, :, 1] * motion[:, :1] - flat_by[:, :, 0] * motion[:, 1:2]
     by_state[:, :, FLOOR_TILT:SCALE] = flat_by[:, :, 3:5]
     by_state[:, :, _AXIS:ROLL] = flat_by[:, :, 5:14]
     by_state[:, 0, ROLL], by_state[:, 1, ROLL] = points[:, 1], -focal * turned[:, 0]
@@ -283,6 +306,8 @@ def project(state: FloatArray, points_map: FloatArray, seen: ImagePoints) -> Pro
     by_state[:, :, FOCAL] = turned
     by_state[:, 0, PRINCIPAL] = 1.0
     by_state[:, :, DELAY] = by_pan * by_delay
+    later = by_state[:, :, DELAY] + flat_by[:, :, :3] @ speeds
+    by_state[:, :, ROW_DELAY] = later * below[:, None]
     if seen.by_lens is not None:
         lens = slice(FOCAL, DELAY)
         points -= seen.by_lens @ state[lens]

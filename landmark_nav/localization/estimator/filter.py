@@ -34,6 +34,7 @@ from landmark_nav.localization.estimator.factors import (
     ImagePoints,
     moved,
     ROLL,
+    ROW_DELAY,
     SCALE,
     SLIP,
     STATES,
@@ -72,6 +73,8 @@ _OPEN_RAD = 0.02
 # Log of the share of the likeliest hypothesis below which another is excluded: the risk of the
 # protection level.
 _EXCLUDED = float(np.log(0.01))
+# Row of a landmark above or below the middle of an image, in focal lengths.
+_TYPICAL_ROW = 0.25
 # Sigmas of an unknown pose, m and rad.
 _ANYWHERE = (3.0, 3.0, 2.0)
 _TILTS, _DRIFTING = [FLOOR_TILT, FLOOR_TILT + 1], slice(SCALE, SLIP)
@@ -190,7 +193,8 @@ class JointFilter:
         covariance = rows @ state.covariance[:STATES, :STATES] @ rows.T
         which = [FLOOR_TILT, CALIBRATION + NAMES.index('axis_pitch'), TILT]
         tilt = float(np.sqrt(max(state.covariance[np.ix_(which, which)].sum(), 0.0)))
-        return Expectation(state.stamp_ns, pose, covariance, self.calibration, tilt)
+        turn_rate = float(state.speeds[2])
+        return Expectation(state.stamp_ns, pose, covariance, self.calibration, tilt, turn_rate)
 
     def _with(self, state: State) -> JointFilter:
         other = copy(self)
@@ -251,6 +255,9 @@ class JointFilter:
             away = self._errors.positions[:, :2] - mean[:2]
             square = 0.5 * np.sum(away**2) / max(len(away), 1)
             covariance[[0, 1], [0, 1]] += covariance[FOCAL, FOCAL] * square
+            # A rolling shutter shifted landmarks by their rows.
+            shift = covariance[ROW_DELAY, ROW_DELAY] * (_TYPICAL_ROW * pan_rate_rad_s) ** 2
+            covariance[:3, :3] += shift * np.diag([square, square, 1.0])
         by_kept = np.eye(STATES)[:, SCALE:]
         by_kept[:3] = by_mount[:, : STATES - SCALE]
         by_noise = by_kept @ mine.by_noise[:, SCALE:, SCALE:] @ by_kept.T
@@ -370,6 +377,7 @@ class JointFilter:
             scales=scales,
             way_m=state.way_m + way,
             seconds=state.seconds + motion.seconds,
+            speeds=motion.increment / motion.seconds if motion.seconds > 0.0 else state.speeds,
             carried=by_state @ state.carried,
         )
 
@@ -381,7 +389,7 @@ class JointFilter:
         map, and second detections of a landmark.
         """
         seen = usable(seen, len(self._errors.positions))
-        seen = replace(seen, moved_back=self.state.moved_back)
+        seen = replace(seen, moved_back=self.state.moved_back, speeds=self.state.speeds)
         if not len(seen):
             self.state = self.predicted = _passed_over(self.state, seen)
             return Update.of_nothing(seen)
@@ -524,11 +532,14 @@ class JointFilter:
         fresh = (1.0 - kept**2) * self._errors.own[state.landmarks]
         covariance[places[:, :, None], places[:, None]] += fresh
         state = replace(state, own=kept**2 * state.own + fresh)
-        walk = self._config.mount_walk_rad_per_sqrt_s**2 * state.seconds
-        for k in (YAW, ROLL, TILT):
+        pan_zero, camera = (
+            self._config.pan_zero_walk_rad_per_sqrt_s,
+            self._config.camera_walk_rad_per_sqrt_s,
+        )
+        for k, walk in ((YAW, pan_zero), (ROLL, camera), (TILT, camera)):
             # Exact values do not change.
             if covariance[k, k] > _EXACT**2:
-                covariance[k, k] += walk
+                covariance[k, k] += walk**2 * state.seconds
         return replace(
             state, mean=mean, covariance=covariance, unseen_m=unseen, way_m=0.0, seconds=0.0
         )

@@ -72,9 +72,11 @@ class State:
     seconds: float = 0.0
     # Pose of the base when an image of this time was taken, in the base at this time.
     moved_back: FloatArray = field(default_factory=lambda: np.zeros(3))
+    # Speeds of the base by odometry, ahead, to the left and turning.
+    speeds: FloatArray = field(default_factory=lambda: np.zeros(3))
     # Derivative of pose, tilt of the floor and odometry by those after the last image.
     carried: FloatArray = field(default_factory=lambda: np.eye(CALIBRATION))
-    # Sum (2, 16) of the corrections of the calibration by images, and of their variances.
+    # Sum (2, 17) of the corrections of the calibration by images, and of their variances.
     corrections: FloatArray = field(default_factory=lambda: np.zeros((2, STATES - CALIBRATION)))
 
     def corrected_from(self, prior: State) -> State:

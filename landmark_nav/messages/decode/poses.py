@@ -79,8 +79,10 @@ def expectation(msg: Any, mount: PanTiltMount) -> tuple[Expectation, OdometrySam
     values, sigmas, intrinsics = (points(k)[0] for k in ('values', 'sigmas', 'intrinsics'))
     known = Calibration(values, np.diag(sigmas**2), mount, intrinsics=nonzero(intrinsics))
     pose, tilt_sigma = points('pose')[0], float(points('tilt_sigma')[0])
-    expected = Expectation(points.stamp, pose, points('covariance')[0], known, tilt_sigma)
-    return expected, OdometrySample(points.stamp, pose, *points('speeds')[0].tolist())
+    linear, turn_rate = points('speeds')[0].tolist()
+    covariance = points('covariance')[0]
+    expected = Expectation(points.stamp, pose, covariance, known, tilt_sigma, turn_rate)
+    return expected, OdometrySample(points.stamp, pose, linear, turn_rate)
 
 
 def detections(msg: Any) -> Detections:
@@ -109,6 +111,7 @@ def detections(msg: Any) -> Detections:
         point_covariance=covariance[of_points],
         sizes=points('size', rows=found)[of_points],
         by_lens=nonzero(by_lens),
+        below=points('below', rows=found) if has_points else None,
         near=nonzero(common['near']),
         intrinsics=nonzero(common['intrinsics']),
     )
