@@ -118,6 +118,15 @@ def test_a_pan_that_is_hardly_known_turns_nothing(seed):
 
 
 @pytest.mark.parametrize('seed', range(3))
+def test_a_camera_that_sags_does_not_move_the_pose(seed):
+    drive, usually = simulated(30 + seed, seconds=20.0), driven(simulated(30 + seed, seconds=20.0))
+    # As if it rose: the joint reports more and more.
+    run = driven(drive, changed=lambda k, seen: replace(seen, tilt_rad=1e-3 * k))
+    assert (run.nees < 31.8).all()
+    assert np.abs(run.errors[:, :2]).max() < 3.0 * np.abs(usually.errors[:, :2]).max()
+
+
+@pytest.mark.parametrize('seed', range(3))
 def test_derivatives_of_the_motion_agree_with_differences(seed):
     state, motion = any_state(seed)[:CALIBRATION], Motion(np.array([0.1, 0.01, -0.05]), 0.1)
     _, by_state, by_motion = moved(state, motion)

@@ -58,10 +58,10 @@ _BY_DEPTH = {
     'bgra{} {}UC4': _Layout(4, cv2.COLOR_BGRA2BGR, cv2.COLOR_BGRA2GRAY),
     'rgba{}': _Layout(4, cv2.COLOR_RGBA2BGR, cv2.COLOR_RGBA2GRAY),
     # OpenCV names a Bayer pattern by its second row, from the second column on.
-    'bayer_rggb{}': _Layout(1, cv2.COLOR_BayerBG2BGR_EA, cv2.COLOR_BayerBG2GRAY),
-    'bayer_bggr{}': _Layout(1, cv2.COLOR_BayerRG2BGR_EA, cv2.COLOR_BayerRG2GRAY),
-    'bayer_gbrg{}': _Layout(1, cv2.COLOR_BayerGR2BGR_EA, cv2.COLOR_BayerGR2GRAY),
-    'bayer_grbg{}': _Layout(1, cv2.COLOR_BayerGB2BGR_EA, cv2.COLOR_BayerGB2GRAY),
+    'bayer_rggb{}': _Layout(1, cv2.COLOR_BayerBG2BGR, cv2.COLOR_BayerBG2GRAY),
+    'bayer_bggr{}': _Layout(1, cv2.COLOR_BayerRG2BGR, cv2.COLOR_BayerRG2GRAY),
+    'bayer_gbrg{}': _Layout(1, cv2.COLOR_BayerGR2BGR, cv2.COLOR_BayerGR2GRAY),
+    'bayer_grbg{}': _Layout(1, cv2.COLOR_BayerGB2BGR, cv2.COLOR_BayerGB2GRAY),
 }
 _YUV = {
     'yuv422 uyvy': _Layout(2, cv2.COLOR_YUV2BGR_UYVY, cv2.COLOR_YUV2GRAY_UYVY),
