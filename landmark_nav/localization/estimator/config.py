@@ -57,10 +57,10 @@ class EstimatorConfig(Config):
     )
     # Degrees of freedom of the t distribution of detections; 0 means Gaussian.
     tail_freedom: float = 2.0
-    # Sigma by which pan zero changes in one second, rad.
-    pan_zero_walk_rad_per_sqrt_s: float = 2e-5
-    # The same for tilt and roll of the camera: joints are loose, and sag.
-    camera_walk_rad_per_sqrt_s: float = 2e-3
+    # Sigma by which pan zero and roll of the camera change in one second, rad.
+    mount_walk_rad_per_sqrt_s: float = 2e-5
+    # The same for its tilt: joints are loose, and sag.
+    tilt_walk_rad_per_sqrt_s: float = 2e-3
     step_probability: float = parameter(
         1e-6,
         'share of the images before which the camera was displaced, the base moved unseen by the '

@@ -532,11 +532,12 @@ class JointFilter:
         fresh = (1.0 - kept**2) * self._errors.own[state.landmarks]
         covariance[places[:, :, None], places[:, None]] += fresh
         state = replace(state, own=kept**2 * state.own + fresh)
-        pan_zero, camera = (
-            self._config.pan_zero_walk_rad_per_sqrt_s,
-            self._config.camera_walk_rad_per_sqrt_s,
-        )
-        for k, walk in ((YAW, pan_zero), (ROLL, camera), (TILT, camera)):
+        mount = self._config.mount_walk_rad_per_sqrt_s
+        for k, walk in (
+            (YAW, mount),
+            (ROLL, mount),
+            (TILT, self._config.tilt_walk_rad_per_sqrt_s),
+        ):
             # Exact values do not change.
             if covariance[k, k] > _EXACT**2:
                 covariance[k, k] += walk**2 * state.seconds
