@@ -52,7 +52,8 @@ def run_report(
     stamps = run.stamps_ns
     span_s = 1e-9 * float(max(stamps[-1], run.odometry.stamps_ns[-1]) - run.begin_ns)
     of_poses = pose_report(run, landmark_map, bound.independent)
-    available = of_poses['availability']
+    # Before the place was found, the pose was unknown.
+    lost = float(run.lost[stamps >= run.start.stamp_ns].mean())
     after_s = 1e-9 * float(run.start.stamp_ns - run.begin_ns)
     return {
         **of_poses,
@@ -65,9 +66,9 @@ def run_report(
         'odometry_noise': {name: getattr(run.odometry_noise, name) for name in _NOISE},
         'sighting_sigma': run.detection_sigma_factor,
         'found': {'after_s': after_s, 'pose': list(run.start.pose)} if run.searched else None,
-        'warning': f'lost in {100.0 * (1.0 - available):.0f} % of the images, where fused is but '
+        'warning': f'lost in {100.0 * lost:.0f} % of the images, where fused is but '
         'odometry: is the map of this room, and robot.yaml of this robot?'
-        if available < _MOSTLY
+        if 1.0 - lost < _MOSTLY
         else None,
     }
 

@@ -321,8 +321,12 @@ def calibration_tables(report: Mapping[str, Any]) -> list[Table]:
         for one in report['trade_offs']
     ]  # fmt: skip
     if (slip := report['side_slip_bound_rad']) is not None:
-        left = f'straight metres: side slip of the wheels leaves {np.degrees(slip):.2f} deg'
-        wanted.append(_row('axis_yaw (pan zero)', left))
+        left = (
+            f'side slip of the wheels leaves {np.degrees(slip):.2f} deg'
+            if slip < np.pi
+            else 'there were none'
+        )
+        wanted.append(_row('axis_yaw (pan zero)', f'straight metres: {left}'))
     more = [_table('Not observed', ('quantities', 'record'), wanted)] if wanted else []
     return [_calibration_table(report['calibration']), *more]
 
