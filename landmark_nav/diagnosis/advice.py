@@ -367,18 +367,18 @@ def _heading(slopes: Linear) -> list[Finding]:
     values = {'heading_rad': turned, 'sigma_rad': spread}
     text = f'looks {abs(np.degrees(turned)):.0f} deg to the {"left" if turned > 0 else "right"}'
     text += f' of where pan and mount say (sigma {np.degrees(spread):.0f} deg)'
-    least = abs(turned) - 3.0 * spread
+    off_rad = abs(turned) if abs(turned) > 3.0 * spread else 0.0
     level: Level = 'ok'
     name, advice = 'camera heading', ''
-    if least - spread > np.radians(140.0):
+    if abs(turned) - 4.0 * spread > np.radians(140.0):
         level, advice = 'error', 'odometry drives backwards, or pan_axis rpy is half a turn off'
-    elif least > _HEADING_WARN_RAD and slopes.straight > ALIKE:
+    elif off_rad > _HEADING_WARN_RAD and slopes.straight > ALIKE:
         name, level, advice = 'odom yaw', 'warning', _WHEELS
         text = f'curves by {np.degrees(-slopes.curved_rad_m):.0f} deg/m against the images'
         values = {'curve_rad_m': -slopes.curved_rad_m}
-    elif least > HEADING_ERROR_RAD:
+    elif off_rad > HEADING_ERROR_RAD:
         level, advice = 'error', 'fix pan_axis rpy (radians) in robot.yaml, or the zero of the pan'
-    elif least > _HEADING_WARN_RAD:
+    elif off_rad > _HEADING_WARN_RAD:
         level = 'warning'
         advice = 'check pan_axis rpy (radians) in robot.yaml and the zero of the pan'
         if slopes.straight > -ALIKE:

@@ -35,6 +35,8 @@ LEAST_PAIRS = 12
 # the second.
 ALIKE, CERTAIN = 5.0, 12.0
 _ITERATIONS = 25
+# Relative sigma of the nearness of one view, and how long a camera that turns has it, s.
+_NEARNESS_SPREAD, _SAME_VIEW_S = 0.4, 2.0
 # Bounds of the noise of images: greatest scale; greatest share of residuals beyond these sigmas.
 NOISE_RAD = 0.02
 _FAR_SIGMAS, _MOST_AWAY = 5.0, 0.15
@@ -364,12 +366,14 @@ class Linear:
     module's equation; `ahead_m` and `left_m` are displacements of the pan axis from its given
     position. Bias, curve and the two displacements are each estimated as if the other three were
     0. `straight` is the logarithm of a likelihood ratio: a correct heading of the camera on a
-    robot that curves by `curved_rad_m`, over a wrong heading.
+    robot that curves by `curved_rad_m`, over a wrong heading. `varied_per_m` is the sigma of
+    `sideways` by things near by and far away that follow each other in view.
     """
 
     quiet: bool
     straight: float
     curved_rad_m: float
+    varied_per_m: float
     pan_scale: Estimate
     yaw_scale: Estimate
     pan_clock_s: Estimate
@@ -391,7 +395,8 @@ class Linear:
     def heading_rad(self) -> Estimate:
         """Heading error of the camera relative to pan and mount, positive to the left."""
         turned = float(np.arctan2(-self.sideways.value, self.nearness.value))
-        return Estimate(turned, self.parallax.sigma / max(self.parallax.value, 1e-9))
+        sigma = np.hypot(self.parallax.sigma, self.varied_per_m)
+        return Estimate(turned, float(sigma) / max(self.parallax.value, 1e-9))
 
     @property
     def fits(self) -> bool:
@@ -420,6 +425,10 @@ def linear(motion: Motion) -> Linear:
     left = motion.unexplained()
     found = fit(left, base)
     levers, near = motion.levers(), max(abs(found.values[4]), 1e-3)
+    # Each view has a nearness of its own, which lasts while the camera sees the same things.
+    view = np.unique(motion.before_s // _SAME_VIEW_S, return_inverse=True)[1]
+    own = np.bincount(view, found.gain[5] * base[:, 4])
+    varied = _NEARNESS_SPREAD * near * float(np.linalg.norm(own))
     # Errors of the levers are no part of the residuals.
     mounted = _LEVER_SIGMA_M * near * np.linalg.norm(found.gain @ levers, axis=1)
     pairs = zip(found.values.tolist(), np.hypot(found.sigmas, mounted).tolist(), strict=True)
@@ -434,4 +443,4 @@ def linear(motion: Motion) -> Linear:
     # With a constant pan, a curved path has the same effect as a wrong heading of the camera.
     curved = fit(left, np.column_stack([base[:, :-1], passed[:, 1]]))
     straight = curved.log_likelihood - found.log_likelihood
-    return Linear(found.quiet, straight, float(curved.values[-1]), *small)
+    return Linear(found.quiet, straight, float(curved.values[-1]), varied, *small)
