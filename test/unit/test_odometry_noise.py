@@ -12,6 +12,7 @@ from landmark_nav.localization.odometry.commanded import command_delay_s, integr
 from landmark_nav.localization.odometry.noise import (
     fraction_of_motion,
     Motion,
+    motion_variances,
     OdometryNoiseConfig,
     slip_variance,
     twist_motion,
@@ -51,6 +52,52 @@ def test_wheels_slip_aside_in_turns_only(forward, turn):
     # Steps of any length slip alike.
     half = slip_variance(Motion(np.array([0.5 * forward, 0.0, 0.5 * turn]), 0.5), CONFIG)
     assert half == pytest.approx(variance, abs=1e-9)
+
+
+def variances_of_steps(offset, speeds=lambda k: (SPEED, RATE), hertz=50):
+    """Sums of the variances by steps in 4 s on the circle, with poses off by `offset(k)`."""
+    track = OdometryTrack(CONFIG)
+    for k in range(4 * hertz + 1):
+        pose = twist_motion(SPEED, RATE, k / hertz) + offset(k)
+        track.add(OdometrySample(round(1e9 * k / hertz), pose, *speeds(k)))
+    motion = track.motion(0, 4 * 10**9)
+    return motion.steps_m2, motion.steps_rad2
+
+
+class TestSteps:
+    @pytest.mark.parametrize('speeds', [lambda k: (SPEED, RATE), lambda k: (0.0, 0.0)])
+    def test_poses_that_step_are_uncertain_by_the_steps(self, speeds):
+        aside, turned = variances_of_steps(
+            lambda k: np.array([0.02, 0.0, 0.03]) * (k // 50), speeds
+        )
+        assert aside == pytest.approx(4 * 0.02**2, rel=0.2)
+        assert turned == pytest.approx(4 * 0.03**2, rel=0.2)
+
+    def test_jitter_is_no_step(self):
+        noise = np.random.default_rng(3).normal(0.0, [0.01, 0.01, 0.005], (201, 3))
+        aside, turned = variances_of_steps(lambda k: noise[k])
+        assert aside < 0.01**2
+        assert turned < 0.005**2
+
+    def test_speeds_of_another_scale_are_no_steps(self):
+        assert variances_of_steps(lambda k: np.zeros(3), lambda k: (0.7 * SPEED, 0.7 * RATE)) == (
+            0.0,
+            0.0,
+        )
+
+    def test_filtered_speeds_hardly_count(self):
+        # A robot that starts, and a driver that reports the speeds of 0.1 s before.
+        track, way = (
+            OdometryTrack(CONFIG),
+            lambda t: 0.25 * min(t, 1.0) ** 2 + 0.5 * max(t - 1.0, 0.0),
+        )
+        for t in np.arange(100) * 0.02:
+            pose = twist_motion(way(t), way(t), 1.0)
+            speed = 0.5 * np.clip(t - 0.1, 0.0, 1.0)
+            track.add(OdometrySample(round(1e9 * t), pose, speed, speed))
+        motion = track.motion(0, 19 * 10**8)
+        assert motion.steps_m2 < 0.1 * motion_variances(motion, CONFIG)[0]
+        assert motion.steps_rad2 < 0.1 * motion_variances(motion, CONFIG)[2]
 
 
 class TestTrack:

@@ -40,7 +40,8 @@ class Motion(NamedTuple):
     `increment` (3,) is forward [m], left [m] and turn [rad] over `seconds`. For `blind_seconds`
     the odometry was missing or broken. `ahead_s4` is the growth of the fourth power of the
     extrapolated time [s^4] where the last twist is extrapolated. `jitter_m2` and `jitter_rad2` are
-    variances by white noise of the two poses.
+    variances by white noise of the two poses, `steps_m2` and `steps_rad2` by steps of the poses
+    that the speeds contradict.
     """
 
     increment: FloatArray
@@ -49,6 +50,8 @@ class Motion(NamedTuple):
     ahead_s4: float = 0.0
     jitter_m2: float = 0.0
     jitter_rad2: float = 0.0
+    steps_m2: float = 0.0
+    steps_rad2: float = 0.0
 
 
 _sigma = partial(parameter, minimum=0.0, maximum=1.0)
@@ -156,9 +159,9 @@ def left_variance(motion: Motion, config: OdometryNoiseConfig) -> float:
 
 
 def blind_variances(motion: Motion, config: OdometryNoiseConfig) -> FloatArray:
-    """Variances (3,) of the time without odometry, and of extrapolation."""
-    position = motion.blind_seconds * config.blind_m_per_sqrt_s**2
-    heading = motion.blind_seconds * config.blind_rad_per_sqrt_s**2
+    """Variances (3,) of the time without odometry, of extrapolation, and of steps."""
+    position = motion.blind_seconds * config.blind_m_per_sqrt_s**2 + motion.steps_m2
+    heading = motion.blind_seconds * config.blind_rad_per_sqrt_s**2 + motion.steps_rad2
     along = 0.25 * motion.ahead_s4 * _ACCELERATION_M_S2**2
     turned = 0.25 * motion.ahead_s4 * _TURN_ACCELERATION_RAD_S2**2
     return np.array([position + along, position, heading + turned])

@@ -6,6 +6,9 @@ a pose each time; wheels add increments. Of four consecutive increments, the dif
 inner two and that of the outer two have the covariance -2 v, where v is the variance of a pose.
 White noise of the increments does not contribute, and a constant acceleration makes it positive.
 Vibration faster than the samples has the same effect as jitter.
+
+`Steps` finds increments of the poses that the speeds contradict, as where a source corrects its
+pose or its heading by something else than wheels.
 """
 
 from __future__ import annotations
@@ -22,6 +25,7 @@ from landmark_nav.geometry.se2 import compose, relative
 from landmark_nav.localization.odometry.noise import (
     fraction_of_motion,
     Motion,
+    motion_variances,
     OdometryNoiseConfig,
     twist_motion,
 )
@@ -64,6 +68,39 @@ class Jitter:
         self._square[k] += (found * found - self._square[k]) / self._count
         sigma = math.sqrt(self._square[k] / self._count)
         return self._mean[k] if self._mean[k] > max(_SIGNIFICANT * sigma, _LEAST[k] ** 2) else 0.0
+
+
+# Significance of a step, in sigmas; medians of chi-square with two degrees of freedom and one.
+_STEP, _MEDIANS = 5.0, (1.386, 0.455)
+
+
+class Steps:
+    """
+    Variances (m^2 on one axis, rad^2) of increments that differ from the speeds unexpectedly.
+
+    Increment and speeds measure one motion. What changes in their difference, other than usual and
+    by more than the noise of the wheels, is an error of one of them; its size is the sigma. A
+    difference that lasts is none: speeds may be filtered, or of another scale. Without speeds,
+    the increment itself must not change faster than a base accelerates.
+    """
+
+    def __init__(self) -> None:
+        self._rate: FloatArray | None = None
+        # Squares of the last changes of position and heading.
+        self._last: deque[tuple[float, float]] = deque(maxlen=_SAMPLES)
+
+    def add(self, off: FloatArray, seconds: float, noise: FloatArray) -> FloatArray:
+        """Add a difference (3,), with the variances (3,) of its change; return those (2,)."""
+        before, self._rate = self._rate, off / seconds
+        if before is None:
+            return np.zeros(2)
+        change = off - seconds * before
+        squares = float(change[:2] @ change[:2]), float(change[2] ** 2)
+        self._last.append(squares)
+        # The median, as steps may be frequent.
+        usual = np.maximum(np.median(self._last, axis=0) / _MEDIANS, noise[1:])
+        # A step changes the difference twice: there, and back.
+        return np.where(squares > _STEP**2 * usual, 0.5 * np.array(squares), 0.0)
 
 
 # The last twist is extrapolated for this time, and the first one backwards.
@@ -114,7 +151,8 @@ class OdometryTrack:
         self._config = config
         self._stamps: list[int] = []
         self._poses: list[FloatArray] = []  # continuous
-        self._blind_ns: list[int] = []  # of the time until each
+        # Sums until each: blind time [s], variances by steps of position and heading.
+        self._unsure: list[FloatArray] = []
         self._first: OdometrySample | None = None
         self._last: OdometrySample | None = None
         # The last sample with a pose of its own, and the motion by the speeds since then.
@@ -122,7 +160,7 @@ class OdometryTrack:
         self._claimed, self._staying = 0.0, 0
         self._reports_speeds = False
         self._agreeing = 0
-        self._jitter = Jitter()
+        self._jitter, self._steps = Jitter(), Steps()
 
     @property
     def stamps_ns(self) -> tuple[int, int] | None:
@@ -147,7 +185,7 @@ class OdometryTrack:
         last = self._last
         if last is None:
             self._agreed = sample
-            self._append(sample, pose, False)
+            self._append(sample, pose, np.zeros(3))
             return None
         seconds = (sample.stamp_ns - last.stamp_ns) * 1e-9
         same_pose = pose_odom == np.asarray(last.pose_odom_base, dtype=np.float64).tolist()
@@ -176,16 +214,34 @@ class OdometryTrack:
             self._jitter.interrupt()
         else:
             self._jitter.add(increment, seconds)
+        unsure = np.array([seconds if blind else 0.0, 0.0, 0.0])
+        if not (blind or jumped) and seconds <= HORIZON_S:
+            unsure[1:] = self._stepped(increment, last, sample, seconds)
         if not same_pose:
             self._agreed, self._claimed, self._staying = sample, 0.0, 0
         elif self._freezes(sample, seconds):
             return Refusal('odometry has frozen', 'its pose stays while its speeds say it moves')
         pose = self._poses[-1] if same_pose else compose(self._poses[-1], increment)
-        self._append(sample, pose, blind)
+        self._append(sample, pose, unsure)
         if jumped:
             what = f'{way:.4g} m and {turn:.2f} rad in {seconds:.3f} s'
             return Distrusted('odometry jumped', what)
         return None
+
+    def _stepped(
+        self, increment: FloatArray, last: OdometrySample, sample: OdometrySample, seconds: float
+    ) -> FloatArray:
+        """Variances (2,) by a step of the pose in an increment."""
+        off, ahead_s4 = increment, 4.0 * seconds**4
+        if self._reports_speeds:
+            ahead_s4 = 0.0
+            ends = [
+                twist_motion(each.linear_m_s, each.angular_rad_s, seconds)
+                for each in (last, sample)
+            ]
+            off = increment - increment.clip(*np.sort(ends, axis=0))
+        motion = Motion(increment, seconds, ahead_s4=ahead_s4)
+        return self._steps.add(off, seconds, motion_variances(motion, self._config))
 
     def _contradicts_speeds(
         self, increment: FloatArray, last: OdometrySample, sample: OdometrySample, seconds: float
@@ -217,9 +273,9 @@ class OdometryTrack:
         agreed, pose = self._agreed, self._poses[-1]
         assert agreed is not None, 'one came before'
         while len(self._stamps) > 1 and self._stamps[-1] > agreed.stamp_ns:
-            del self._stamps[-1], self._poses[-1], self._blind_ns[-1]
+            del self._stamps[-1], self._poses[-1], self._unsure[-1]
         if self._stamps[-1] < agreed.stamp_ns:
-            self._append(agreed, pose, blind=False)
+            self._append(agreed, pose, np.zeros(3))
         self._last = agreed
         return True
 
@@ -231,9 +287,9 @@ class OdometryTrack:
         increment = relative(self._pose(from_ns), self._pose(to_ns))
         end, begin = self._beyond_s(to_ns), self._beyond_s(from_ns)
         ahead = math.copysign(end**4, end) - math.copysign(begin**4, begin)
-        blind = (self._blind_until_ns(to_ns) - self._blind_until_ns(from_ns)) * 1e-9
+        blind, *steps = (self._unsure_until(to_ns) - self._unsure_until(from_ns)).tolist()
         jitter = (2.0 * variance for variance in self._jitter.variances)
-        return Motion(increment, seconds, min(blind, _LONGEST_S), ahead, *jitter)
+        return Motion(increment, seconds, min(blind, _LONGEST_S), ahead, *jitter, *steps)
 
     def motion_back(self, stamp_ns: int, seconds: float) -> FloatArray:
         """Pose (3,) of the base some time before a time, in the base at that time."""
@@ -246,22 +302,23 @@ class OdometryTrack:
         """Drop samples that are not needed for motions that start at `before_ns` or later."""
         keep = bisect_right(self._stamps, before_ns) - 1
         if keep > 0:
-            for values in (self._stamps, self._poses, self._blind_ns):
+            for values in (self._stamps, self._poses, self._unsure):
                 del values[:keep]
 
-    def _append(self, sample: OdometrySample, pose: FloatArray, blind: bool) -> None:
+    def _append(self, sample: OdometrySample, pose: FloatArray, unsure: FloatArray) -> None:
+        """Append a pose, and how unsure the motion up to it is."""
         self._first, self._last = self._first or sample, sample
-        blind_ns = 0
         if self._stamps:
-            blind_ns = self._blind_ns[-1] + (sample.stamp_ns - self._stamps[-1] if blind else 0)
-            stands = pose is self._poses[-1]
+            before = self._unsure[-1]
+            unsure = before + unsure if unsure.any() else before
             # Of the samples while the robot stands, only the first and the last are kept.
-            if stands and self._blind_ns[-2:-1] == [blind_ns] and self._poses[-2] is pose:
+            stands = len(self._poses) > 1 and self._poses[-2] is self._poses[-1] is pose
+            if stands and self._unsure[-2] is unsure:
                 self._stamps[-1] = sample.stamp_ns
                 return
         self._stamps.append(sample.stamp_ns)
         self._poses.append(pose)
-        self._blind_ns.append(blind_ns)
+        self._unsure.append(unsure)
 
     def _beyond_s(self, stamp_ns: int) -> float:
         """Seconds of extrapolation: after the last sample, or, negative, before the first."""
@@ -284,16 +341,22 @@ class OdometryTrack:
         part = fraction_of_motion(whole, (stamp_ns - begin) / (end - begin))
         return compose(self._poses[after - 1], part)
 
-    def _blind_until_ns(self, stamp_ns: int) -> int:
-        """Blind time until then, from the earliest time that extrapolation reaches."""
+    def _unsure_until(self, stamp_ns: int) -> FloatArray:
+        """Sums of `_unsure` until then, from the earliest time that extrapolation reaches."""
         reach = int(HORIZON_S * 1e9)
         first, last = self._stamps[0] - reach, self._stamps[-1] + reach
-        outside = min(stamp_ns - first, 0) + max(stamp_ns - last, 0)
+        outside = 1e-9 * (min(stamp_ns - first, 0) + max(stamp_ns - last, 0))
         after = bisect_left(self._stamps, stamp_ns)
-        if after in (0, len(self._stamps)):
-            return outside + self._blind_ns[max(after - 1, 0)]
-        since, total = self._blind_ns[after - 1], self._blind_ns[after]
-        return outside + since + (stamp_ns - self._stamps[after - 1] if total > since else 0)
+        before, until = (
+            self._unsure[max(after - 1, 0)],
+            self._unsure[min(after, len(self._unsure) - 1)],
+        )
+        part = 0.0
+        if 0 < after < len(self._stamps):
+            begin, end = self._stamps[after - 1], self._stamps[after]
+            part = (stamp_ns - begin) / (end - begin)
+        sums: FloatArray = before + part * (until - before) + np.array([outside, 0.0, 0.0])
+        return sums
 
 
 def _differs_little(off: FloatArray, way_m: float, turn_rad: float) -> bool:
