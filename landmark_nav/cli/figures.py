@@ -136,8 +136,7 @@ def _gather(args: argparse.Namespace, wanted: set[int], attention: AttentionConf
             learned = learn_located(located, config, config.unmeasured)
     else:
         panoramas = tuple(
-            panorama_from_sweep(sweep, room, robot, config)
-            for sweep in progress(sweeps, 'panoramas')
+            panorama_from_sweep(sweep, room, robot) for sweep in progress(sweeps, 'panoramas')
         )
         if wanted & _LEARNED:
             learned = learn_from_panoramas(panoramas, room, config)

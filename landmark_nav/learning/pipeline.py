@@ -30,7 +30,7 @@ from landmark_nav.learning.attention.selection import attend
 from landmark_nav.learning.election import elect, ElectionConfig
 from landmark_nav.learning.least_squares import checked_covariance
 from landmark_nav.learning.reference_area.common_errors import joint_covariance
-from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
+from landmark_nav.learning.reference_area.model import MEASURED
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.learning.stereo.reconstruction import reconstruct
 from landmark_nav.learning.stereo.wall_patch import StereoConfig, Ties
@@ -58,7 +58,6 @@ class LearningConfig(Config):
     stereo: StereoConfig = field(default_factory=StereoConfig)
     adjustment: AdjustmentConfig = field(default_factory=AdjustmentConfig)
     election: ElectionConfig = field(default_factory=ElectionConfig)
-    reference_area: ReferenceAreaConfig = field(default_factory=ReferenceAreaConfig)
 
 
 @dataclass(frozen=True, eq=False)
@@ -113,7 +112,7 @@ def learn_from_panoramas(
         attended = [attend(p, config.attention) for p in panoramas]
         candidates = tuple(a.candidates for a in attended)
 
-    joint = joint_covariance(panoramas, room, config.reference_area) if places is None else places
+    joint = joint_covariance(panoramas, room) if places is None else places
 
     without_walls = replace(
         config.adjustment,
@@ -215,7 +214,7 @@ def _calibration(
     if not config.adjustment.tilt_sigma_rad:
         # The tilt of the floor at the panoramas is not part of the mount: its variance is added.
         axis_tilt = [NAMES.index(name) for name in ('axis_roll', 'axis_pitch')]
-        floor = config.reference_area.horizon_sigma_rad**2 / len(panoramas)
+        floor = MEASURED.horizon_sigma_rad**2 / len(panoramas)
         covariance[axis_tilt, axis_tilt] += floor
     by_map = gain @ adjustment.calibration_loading
     return replace(known, values=values, covariance=covariance, by_map=by_map)

@@ -22,7 +22,6 @@ from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.facades.outline import open_room, room_of
 from landmark_nav.learning.facades.planes import (
     Facade,
-    FacadesConfig,
     find_facades,
     placed_matches,
     SeenPoints,
@@ -46,7 +45,6 @@ from landmark_nav.learning.stages import StageLog
 from landmark_nav.learning.stereo.wall_patch import PatchMeasurement, Ties
 from landmark_nav.learning.sweep_pipeline import (
     panorama_from_sweep,
-    PanoramaStages,
     unplaced_panorama,
 )
 from landmark_nav.parameters import Config
@@ -80,7 +78,6 @@ class UnmeasuredConfig(Config):
     max_range_share: float = 0.05
     sheets: SheetsConfig = field(default_factory=SheetsConfig)
     relative_pose: RelativePoseConfig = field(default_factory=RelativePoseConfig)
-    facades: FacadesConfig = field(default_factory=FacadesConfig)
 
 
 @dataclass(frozen=True, eq=False)
@@ -149,12 +146,12 @@ def locate(
         matched = [placed_matches(poses.states, p, sigma) for p in poses.pairs]
         eyes = center(poses.states)
         joined = SeenPoints.joined([points for points, _ in matched])
-        facades = find_facades(joined, config.facades)
+        facades = find_facades(joined)
         try:
-            room = room_of(facades, joined, eyes, config.facades)
+            room = room_of(facades, joined, eyes)
         except LandmarkNavError as error:
             _LOG.warning('%s: only what stands for itself is learned', error)
-            room = open_room(joined, eyes, config.facades)
+            room = open_room(joined, eyes)
         off_axis = [_off_axis_m(panorama) for panorama in panoramas]
         measured = [
             m
@@ -178,7 +175,6 @@ def locate_sweeps(
     sweeps: Callable[[], Iterator[Sweep]],
     known: Callable[[Sequence[Sweep]], Sequence[PlaceChain]],
     given: Calibration,
-    stages: PanoramaStages,
     config: UnmeasuredConfig,
     log: StageLog,
 ) -> Located:
@@ -223,7 +219,6 @@ def locate_sweeps(
                 replace(sweep, pose_map_base=PoseEstimate(sweep.stamp_ns, base, _KNOWN)),
                 located.room,
                 given,
-                stages,
                 log,
                 tilt_rad=tilt if tilt.any() else None,
             )

@@ -91,7 +91,7 @@ class UnmeasuredLearner:
         def known(_stamped: Sequence[Sweep]) -> list[PlaceChain]:
             return known_places(given, spans, odometry, config.odometry)
 
-        located = locate_sweeps(sweeps, known, self._given, config, config.unmeasured, StageLog())
+        located = locate_sweeps(sweeps, known, self._given, config.unmeasured, StageLog())
         result = learn_located(located, config, config.unmeasured)
         return replace(result, map=replace(result.map, provenance=located.provenance))
 

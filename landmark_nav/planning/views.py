@@ -14,7 +14,6 @@ from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.adjustment.problem import AdjustmentConfig
 from landmark_nav.learning.election import ElectionConfig
 from landmark_nav.learning.reference_area.common_errors import least_in_view, pose_errors
-from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
 from landmark_nav.learning.stereo.wall_patch import StereoConfig
 from landmark_nav.learning.unmeasured import RELATIVE_SIGMA
 from landmark_nav.localization.triplet.visibility import TripletConfig
@@ -48,7 +47,6 @@ class PlanConfig(Config):
     texture_high_m: float = 2.0
     # Number of random sets of positions for comparison.
     random_sets: int = 50
-    reference_area: ReferenceAreaConfig = field(default_factory=ReferenceAreaConfig)
     stereo: StereoConfig = field(default_factory=StereoConfig)
     adjustment: AdjustmentConfig = field(default_factory=AdjustmentConfig)
     election: ElectionConfig = field(default_factory=ElectionConfig)
@@ -228,7 +226,7 @@ def look(
     proposed = config.candidates / (2.0 * np.pi) * samples.length_m * cosine / reach * share
     proposed[cosine < np.cos(config.election.max_incidence_rad)] = 0.0
     if room.anchors:
-        errors = pose_errors(eye, room, config.reference_area, config.focal_px, papers[measured])
+        errors = pose_errors(eye, room, config.focal_px, papers[measured])
     else:
         plan = np.diag(RELATIVE_SIGMA[[0, 1, 3]] ** 2)
         errors = np.tile(plan, (len(eye), 1, 1)), np.zeros((len(eye), 3, 1))

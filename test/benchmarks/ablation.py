@@ -72,7 +72,7 @@ LEARNING: dict[str, dict[str, Any]] = {
     'tails (adjustment)': {f'{_LEARN}adjustment.solution:_TAIL_SIGMAS': BEST},
     'what sweeps share': {
         f'{_LEARN}reference_area.common_errors:_COMMON': 0.0,
-        f'{_LEARN}reference_area.common_errors:_by_papers': lambda panorama, covariance, room, c: (
+        f'{_LEARN}reference_area.common_errors:_by_papers': lambda panorama, covariance, room: (
             np.zeros((4, 1 + 2 * len(room.papers)))
         ),
     },
