@@ -34,9 +34,10 @@ from landmark_nav.learning.pipeline import (
 )
 from landmark_nav.learning.relative_pose.epipolar import (
     center,
+    DIRECTION_SIGMA_RAD,
     RayPairs,
-    RelativePoseConfig,
     STATE,
+    TILT_SIGMA_RAD,
 )
 from landmark_nav.learning.relative_pose.features import find_features
 from landmark_nav.learning.relative_pose.poses import relative_poses, RelativePoses
@@ -55,6 +56,8 @@ _LOG = logging.getLogger(__name__)
 # Sigmas of the relative poses in the search of landmarks: m, m, m, rad.
 RELATIVE_SIGMA = np.array([0.005, 0.005, 0.003, 1e-3])
 _LEAST_VARIANCE = 1e-10
+# Sigma of the pan zero, which all sweeps share, beyond that of the robot file.
+PAN_ZERO_SIGMA_RAD = 1e-3
 # Covariance of a pose that is only used for the distances of the walls.
 _KNOWN = np.diag([1e-4, 1e-4, 1e-6])
 # A plan whose walls are farther from those found is in another frame.
@@ -77,7 +80,6 @@ class UnmeasuredConfig(Config):
     # bearing.
     max_range_share: float = 0.05
     sheets: SheetsConfig = field(default_factory=SheetsConfig)
-    relative_pose: RelativePoseConfig = field(default_factory=RelativePoseConfig)
 
 
 @dataclass(frozen=True, eq=False)
@@ -96,7 +98,7 @@ class Located:
     places: FloatArray
     poses: RelativePoses
     ties: Ties
-    heading_sigma_rad: float
+    heading_sigma_rad: float = PAN_ZERO_SIGMA_RAD
 
     @property
     def provenance(self) -> dict[str, str]:
@@ -137,13 +139,12 @@ def locate(
     check_number(panoramas)
     log = log or StageLog()
     with log.measure('relative_poses'):
-        features = [find_features(p, config.relative_pose.features) for p in panoramas]
+        features = [find_features(p) for p in panoramas]
         sheets = [find_sheets(p, config.sheets) for p in panoramas]
         axes = [_of_axis(chain, lever) for chain in known]
-        poses = relative_poses(features, axes, lever, config.relative_pose, sheets, before)
+        poses = relative_poses(features, axes, lever, sheets, before)
     with log.measure('facades'):
-        sigma = config.relative_pose.direction_sigma_rad
-        matched = [placed_matches(poses.states, p, sigma) for p in poses.pairs]
+        matched = [placed_matches(poses.states, p) for p in poses.pairs]
         eyes = center(poses.states)
         joined = SeenPoints.joined([points for points, _ in matched])
         facades = find_facades(joined)
@@ -154,9 +155,7 @@ def locate(
             room = open_room(joined, eyes)
         off_axis = [_off_axis_m(panorama) for panorama in panoramas]
         measured = [
-            m
-            for points, pairs in matched
-            for m in _measured(points, pairs, sigma, room, eyes, off_axis)
+            m for points, pairs in matched for m in _measured(points, pairs, room, eyes, off_axis)
         ]
         shared_errors = poses.shared_errors.reshape(len(eyes), STATE, -1)[:, [0, 1, 3, 2]]
         ties = Ties(joined.positions, measured, shared_errors.reshape(4 * len(eyes), -1))
@@ -167,8 +166,7 @@ def locate(
         for p, eye, state in zip(panoramas, eyes, poses.states, strict=True)
     ]
     places = _viewpoints(poses)
-    turn = config.relative_pose.heading_sigma_rad
-    return Located(tuple(located), tuple(facades), room, places, poses, ties, turn)
+    return Located(tuple(located), tuple(facades), room, places, poses, ties)
 
 
 def locate_sweeps(
@@ -203,9 +201,7 @@ def locate_sweeps(
         stamped.append(replace(sweep, frames=sweep.frames[:1] + sweep.frames[-1:]))
         del sweep  # large, and not needed while the next one is read
     check_number(panoramas)
-    pose = config.relative_pose
-    turn = float(np.hypot(pose.heading_sigma_rad, given.sigmas_from('axis_yaw')[0]))
-    config = replace(config, relative_pose=replace(pose, heading_sigma_rad=turn))
+    turn = float(np.hypot(PAN_ZERO_SIGMA_RAD, given.sigmas_from('axis_yaw')[0]))
     places = [_with_turn(chain, turn) for chain in known(stamped)]
     lever = np.array([*given.mount.axis_xyz[:2], panoramas[0].center_map[2]])
     located = locate(panoramas, places, lever, config, log)
@@ -245,8 +241,8 @@ def locate_sweeps(
             np.degrees(moved_rad),
         )
     # Tilted panoramas leave headings less certain than those levelled by them.
-    located.poses.check_headings(config.relative_pose)
-    return located
+    located.poses.check_headings()
+    return replace(located, heading_sigma_rad=turn)
 
 
 def _parallax_rad(before: Located, after: Located) -> float:
@@ -287,7 +283,7 @@ def learn_located(
     adjustment = replace(
         config.adjustment,
         camera_weight=unmeasured.camera_weight,
-        tilt_sigma_rad=unmeasured.relative_pose.tilt_sigma_rad,
+        tilt_sigma_rad=TILT_SIGMA_RAD,
         wave_sigma_rad=located.poses.wave_sigma_rad,
     )
     election = replace(config.election, max_range_share=unmeasured.max_range_share)
@@ -308,13 +304,12 @@ def learn_located(
             covariance[3, 3] += float(np.sum(np.square(turns)))
         panoramas.append(replace(p, covariance=covariance))
     result = replace(result, panoramas=tuple(panoramas))
-    return replace(result, map=_turned(result.map, unmeasured.relative_pose.heading_sigma_rad))
+    return replace(result, map=_turned(result.map, PAN_ZERO_SIGMA_RAD))
 
 
 def _measured(
     points: SeenPoints,
     pairs: RayPairs,
-    sigma_rad: float,
     room: Room,
     eyes: FloatArray,
     off_axis_m: Sequence[float],
@@ -328,7 +323,7 @@ def _measured(
         way = (points.positions - eyes[view])[:, :2]
         wall, _ = room.raycast(eyes[view, :2], np.arctan2(way[:, 1], way[:, 0]))
         displaced = off_axis_m[view] * (1.0 / np.hypot(way[:, 0], way[:, 1]) - 1.0 / wall)
-        sides.append((view, np.arctan2(y, x), tangent, np.hypot(sigma_rad, displaced)))
+        sides.append((view, np.arctan2(y, x), tangent, np.hypot(DIRECTION_SIGMA_RAD, displaced)))
     for k in range(len(pairs.rays)):
         yield [
             PatchMeasurement(

@@ -4,11 +4,6 @@ from dataclasses import replace
 from itertools import combinations
 
 from builders import panorama_of, walls_of
-from landmark_nav.learning.reference_area.common_errors import (
-    joined,
-    joint_covariance,
-    pose_errors,
-)
 import numpy as np
 import pytest
 from scenes import rectangle_room
@@ -21,6 +16,11 @@ from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.geometry.walls import Marker, Paper, Room
 from landmark_nav.learning.adjustment.problem import AdjustmentConfig
 from landmark_nav.learning.adjustment.solution import adjust
+from landmark_nav.learning.reference_area.common_errors import (
+    joined,
+    joint_covariance,
+    pose_errors,
+)
 from landmark_nav.learning.reference_area.model import MEASURED
 from landmark_nav.learning.stereo.wall_patch import PatchMeasurement
 from landmark_nav.planning.planner import exchange, forecast, plan_positions

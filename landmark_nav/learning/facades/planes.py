@@ -14,7 +14,12 @@ import numpy as np
 
 from landmark_nav.arrays import BoolArray, IndexArray
 from landmark_nav.geometry.se2 import cross
-from landmark_nav.learning.relative_pose.epipolar import center, RayPairs, turned
+from landmark_nav.learning.relative_pose.epipolar import (
+    center,
+    DIRECTION_SIGMA_RAD,
+    RayPairs,
+    turned,
+)
 from landmark_nav.learning.right_angles import common_direction, from_right, pull
 from landmark_nav.types import FloatArray
 
@@ -49,13 +54,11 @@ class SeenPoints:
         return SeenPoints(self.positions[which], self.covariance[which], self.viewpoints[which])
 
 
-def placed_matches(
-    states: FloatArray, pairs: RayPairs, sigma_rad: float
-) -> tuple[SeenPoints, RayPairs]:
+def placed_matches(states: FloatArray, pairs: RayPairs) -> tuple[SeenPoints, RayPairs]:
     """
     Intersect the rays of inlier matches in plan; return points and pairs with enough parallax.
 
-    `states` (v, 6) are those of the sweeps from `relative_poses`, `sigma_rad` is that of a ray.
+    `states` (v, 6) are those of the sweeps from `relative_poses`.
     """
     here, there = (center(states[k]) for k in (pairs.one, pairs.other))
     w = turned(states[pairs.one], pairs.rays)
@@ -66,7 +69,10 @@ def placed_matches(
     with np.errstate(divide='ignore', invalid='ignore'):
         reach, reach_there = cross(way, v) / sine, cross(way, w) / sine
         first, second = here + reach[:, None] * w, there + reach_there[:, None] * v
-        along = (reach_there * sigma_rad / sine) ** 2, (reach * sigma_rad / sine) ** 2
+        along = (
+            (reach_there * DIRECTION_SIGMA_RAD / sine) ** 2,
+            (reach * DIRECTION_SIGMA_RAD / sine) ** 2,
+        )
     covariance = along[1][:, None, None] * v[:, :2, None] * v[:, None, :2]
     covariance += along[0][:, None, None] * w[:, :2, None] * w[:, None, :2]
     certain = (np.abs(sine) > np.sin(_LEAST_PARALLAX)) & (reach > 0.0) & (reach_there > 0.0)
