@@ -169,22 +169,13 @@ def ahead_rad(floor_xy: FloatArray, room: Room) -> FloatArray:
     return np.asarray(np.arctan2(ahead[:, 1], ahead[:, 0]))
 
 
-def turns_rad(mount: PanTiltMount, config: PlanConfig) -> FloatArray:
-    """Headings of the base relative to the centre of the papers that are tried, (k,)."""
-    return -_azimuth_base(mount, np.array(config.paper_pans_rad))
-
-
 def sweep_poses(
-    floor_xy: FloatArray, room: Room, turn_rad: FloatArray | float = 0.0
+    floor_xy: FloatArray, room: Room, mount: PanTiltMount, config: PlanConfig
 ) -> FloatArray:
-    """Poses (n, 3) of the base at points (n, 2), turned from the centre of the papers."""
-    return np.column_stack([floor_xy, wrap_rad(ahead_rad(floor_xy, room) + turn_rad)])
-
-
-def _azimuth_base(mount: PanTiltMount, pan_rad: FloatArray) -> FloatArray:
-    """Azimuths (k,) of the view in the base frame at pans (k,)."""
-    ahead = mount.camera_pose_base(pan_rad)[0][..., 2]
-    return np.asarray(np.arctan2(ahead[..., 1], ahead[..., 0]))
+    """Poses (k n, 3) of the base at points (n, 2): the camera sees the papers at k pans."""
+    ahead = ahead_rad(floor_xy, room)
+    pans = mount.azimuth_base_rad(np.array(config.paper_pans_rad))
+    return np.concatenate([np.column_stack([floor_xy, wrap_rad(ahead - pan)]) for pan in pans])
 
 
 def look(
@@ -203,9 +194,8 @@ def look(
     eye = np.column_stack(
         [axis, np.full(len(axis), mount.camera_pose_base(0.0, config.camera_tilt_rad)[1][2])]
     )
-    middle = poses_map_base[:, 2] + _azimuth_base(
-        mount, np.array([0.5 * (config.pan_min_rad + config.pan_max_rad)])
-    )
+    middle_pan = np.array(0.5 * (config.pan_min_rad + config.pan_max_rad))
+    middle = poses_map_base[:, 2] + mount.azimuth_base_rad(middle_pan)
     measured = np.ones(len(eye), dtype=np.bool_)
     if room.anchors:
         hung = np.array([paper.center[:2] for paper in room.anchors]) - axis[:, None]
