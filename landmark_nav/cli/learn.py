@@ -104,7 +104,7 @@ def run(args: argparse.Namespace) -> int:
         if located is None:
             result = learn_from_panoramas(panoramas, room, config, shown)
         else:
-            result = unmeasured.learn_located(located, config, config.unmeasured, shown)
+            result = unmeasured.learn_located(located, config, shown)
         # Walls with a sigma were moved to their patches.
         room = replace(room, walls=result.map.walls)
         learned = result.map.calibration or given

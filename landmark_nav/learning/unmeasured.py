@@ -67,18 +67,15 @@ _SAME_RAD, _ROUNDS = 1e-3, 4
 # Relative sigma of the scale in the adjustment, which keeps it: with a smaller scale relief would
 # be smaller too.
 _FIXED_SCALE = 1e-5
+# Weight of the expected sigmas of panoramas: residuals do not show errors that all azimuths of a
+# panorama share. Greatest relative sigma of a range: it may be large, as a bearing remains.
+_CAMERA_WEIGHT, _MAX_RANGE_SHARE = 100.0, 0.05
 
 
 @dataclass(frozen=True)
 class UnmeasuredConfig(Config):
     """Parameters of the stages that replace a plan."""
 
-    # `adjustment.camera_weight` without a plan: residuals do not show errors that all azimuths of
-    # a panorama share.
-    camera_weight: float = 100.0
-    # `election.max_range_share` without a plan: a landmark with an uncertain range still gives a
-    # bearing.
-    max_range_share: float = 0.05
     sheets: SheetsConfig = field(default_factory=SheetsConfig)
 
 
@@ -274,19 +271,16 @@ def with_plan(located: Located, plan: Room) -> Located:
 
 
 def learn_located(
-    located: Located,
-    config: LearningConfig,
-    unmeasured: UnmeasuredConfig,
-    log: StageLog | None = None,
+    located: Located, config: LearningConfig, log: StageLog | None = None
 ) -> LearningResult:
     """Learn landmarks on the facades found; as `learn_from_panoramas`."""
     adjustment = replace(
         config.adjustment,
-        camera_weight=unmeasured.camera_weight,
+        camera_weight=_CAMERA_WEIGHT,
         tilt_sigma_rad=TILT_SIGMA_RAD,
         wave_sigma_rad=located.poses.wave_sigma_rad,
     )
-    election = replace(config.election, max_range_share=unmeasured.max_range_share)
+    election = replace(config.election, max_range_share=_MAX_RANGE_SHARE)
     config = replace(config, adjustment=adjustment, election=election)
     result = learn_from_panoramas(
         located.panoramas, located.room, config, log, located.places, located.ties

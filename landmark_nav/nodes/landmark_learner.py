@@ -92,7 +92,7 @@ class UnmeasuredLearner:
             return known_places(given, spans, odometry, config.odometry)
 
         located = locate_sweeps(sweeps, known, self._given, config.unmeasured, StageLog())
-        result = learn_located(located, config, config.unmeasured)
+        result = learn_located(located, config)
         return replace(result, map=replace(result.map, provenance=located.provenance))
 
     def place_now(self, result: LearningResult) -> PoseEstimate | None:
