@@ -17,7 +17,6 @@ from landmark_nav.errors import inside, LandmarkNavError, shown
 from landmark_nav.former_parameters import settled
 from landmark_nav.learning.capture.config import CaptureConfig
 from landmark_nav.learning.pipeline import LearningConfig
-from landmark_nav.learning.sweep_pipeline import PanoramaStages
 from landmark_nav.learning.unmeasured import UnmeasuredConfig
 from landmark_nav.localization.localizer import LocalizationConfig
 from landmark_nav.localization.triplet.look_around import LookAroundConfig
@@ -70,7 +69,7 @@ class PanCommandConfig(Config):
 
 
 @dataclass(frozen=True)
-class Configuration(PanoramaStages, LearningConfig, LocalizationConfig):
+class Configuration(LearningConfig, LocalizationConfig):
     """
     Parameters of all nodes and commands, and settings of all stages.
 

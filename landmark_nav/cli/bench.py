@@ -35,7 +35,7 @@ from landmark_nav.learning.reference_area.location import PaperSearch
 from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
 from landmark_nav.learning.stereo import wall_patch
 from landmark_nav.learning.stereo.wall_stereo import hypothesize, match_in
-from landmark_nav.learning.sweep_pipeline import panorama_from_sweep, PanoramaStages
+from landmark_nav.learning.sweep_pipeline import panorama_from_sweep
 from landmark_nav.localization.detection.correlation import detect_landmarks
 from landmark_nav.localization.detection.expectation import DetectionConfig, View
 from landmark_nav.localization.fusion import Fusion
@@ -177,7 +177,7 @@ def _comparisons(seed: int) -> Iterator[_Comparison]:
             for hue in (0, 60, 120)
         ],
     )
-    panoramas = [panorama_from_sweep(s, room, _MOUNT, PanoramaStages()) for s in sweeps]
+    panoramas = [panorama_from_sweep(s, room, _MOUNT) for s in sweeps]
     greys = [np.asarray(cv2.cvtColor(p.image, cv2.COLOR_BGR2GRAY), np.uint8) for p in panoramas]
     yield _Comparison(
         'attention in a panorama',
@@ -266,7 +266,7 @@ def _of_stereo(panoramas: list[Any], candidates: Any, room: Any) -> Iterator[_Co
                 patches.append(patch)
                 measurements.append([wall_patch.own_measurement(patch, panoramas[k]), found])
     start = np.array([patch.position for patch in patches])
-    covariance = joint_covariance(panoramas, room, ReferenceAreaConfig())
+    covariance = joint_covariance(panoramas, room)
     walls = [patch.wall for patch in patches]
     places = panoramas, covariance, room, AdjustmentConfig()
     run = partial(adjust, measurements, walls, start, *places)

@@ -146,7 +146,7 @@ def _use_sweeps(work: _Work, bags: list[Bag], room: Room | None, mapped: bool) -
         checked(bag, given, room)
         # Sweeps share errors: each bag begins with what is given.
         if plan is not None:
-            work.panoramas += panoramas_of_bag(bag, plan, given, config, StageLog())[0]
+            work.panoramas += panoramas_of_bag(bag, plan, given, StageLog())[0]
             continue
         located, _ = located_sweeps(bag, given, config, StageLog())
         located = with_plan(located, room) if room is not None else located
@@ -156,7 +156,7 @@ def _use_sweeps(work: _Work, bags: list[Bag], room: Room | None, mapped: bool) -
     if len(work.panoramas) < _LEAST_PANORAMAS or (work.landmarks is not None and mapped):
         return
     if located is not None:
-        learned = learn_located(located, config, config.unmeasured).map
+        learned = learn_located(located, config).map
         learned.provenance.update(located.provenance)
     elif room is not None:
         learned = learn_from_panoramas(work.panoramas, room, config).map

@@ -126,7 +126,7 @@ def _report(
     if room is None:
         stages = load_configuration(None, folder / 'robot.yaml')
         located, _ = located_sweeps(Bag(folder / 'sweeps'), calibration, stages, StageLog())
-        learned = learn_located(located, stages, stages.unmeasured)
+        learned = learn_located(located, stages)
     else:
         learned = learn_from_panoramas(swept, room, LearningConfig())
         inputs['room'] = folder / 'room.yaml'

@@ -133,11 +133,10 @@ def _gather(args: argparse.Namespace, wanted: set[int], attention: AttentionConf
         located, _ = located_sweeps(bag, robot, config, StageLog())
         room, panoramas = located.room, located.panoramas
         if wanted & _LEARNED:
-            learned = learn_located(located, config, config.unmeasured)
+            learned = learn_located(located, config)
     else:
         panoramas = tuple(
-            panorama_from_sweep(sweep, room, robot, config)
-            for sweep in progress(sweeps, 'panoramas')
+            panorama_from_sweep(sweep, room, robot) for sweep in progress(sweeps, 'panoramas')
         )
         if wanted & _LEARNED:
             learned = learn_from_panoramas(panoramas, room, config)

@@ -28,7 +28,6 @@ from landmark_nav.learning.stages import StageLog
 from landmark_nav.learning.sweep_pipeline import (
     next_prior,
     panorama_from_sweep,
-    PanoramaStages,
     record_papers,
 )
 from landmark_nav.localization.sweep_places import known_places
@@ -95,7 +94,7 @@ def run(args: argparse.Namespace) -> int:
     with atomic_io.atomic_folder(args.out, MAP_FILES, args.overwrite) as folder:
         located, found = None, {}
         if room is not None and placed:
-            panoramas, frames = panoramas_of_bag(bag, room, given, config, log)
+            panoramas, frames = panoramas_of_bag(bag, room, given, log)
         else:
             located, frames = located_sweeps(bag, given, config, log)
             if room is not None:
@@ -105,7 +104,7 @@ def run(args: argparse.Namespace) -> int:
         if located is None:
             result = learn_from_panoramas(panoramas, room, config, shown)
         else:
-            result = unmeasured.learn_located(located, config, config.unmeasured, shown)
+            result = unmeasured.learn_located(located, config, shown)
         # Walls with a sigma were moved to their patches.
         room = replace(room, walls=result.map.walls)
         learned = result.map.calibration or given
@@ -205,7 +204,7 @@ def located_sweeps(
     # Calibration and panorama of each sweep, poses and facades; again once they are levelled.
     stages = 2 * (2 * bag.counts[trajectory] + 2) if trajectory else None
     shown = replace(log, steps=progress(count(), 'locating', stages))
-    return unmeasured.locate_sweeps(sweeps, known, given, config, config.unmeasured, shown), frames
+    return unmeasured.locate_sweeps(sweeps, known, given, config.unmeasured, shown), frames
 
 
 def _config(args: argparse.Namespace, placed: bool) -> Configuration:
@@ -233,14 +232,14 @@ def _config(args: argparse.Namespace, placed: bool) -> Configuration:
 
 
 def panoramas_of_bag(
-    bag: Bag, room: Room, given: Calibration, config: PanoramaStages, log: StageLog
+    bag: Bag, room: Room, given: Calibration, log: StageLog
 ) -> tuple[list[Panorama], list[int]]:
     """Make the panoramas of a bag, and return them with the number of frames of each."""
     trajectory = bag.find('sweep/trajectory')
     total = bag.counts[trajectory] if trajectory else None
     panoramas: list[Panorama] = []
     frames: list[int] = []
-    papers = PaperRecord(room, config.reference_area)
+    papers = PaperRecord(room)
     sweeps, known = progress(read_sweeps(bag, given.mount), 'panoramas', total), given
     while True:
         with log.measure('reading'):
@@ -249,7 +248,7 @@ def panoramas_of_bag(
             break
         try:
             known = known.for_camera(sweep.frames[0].camera.intrinsics, given)
-            panoramas.append(panorama_from_sweep(sweep, room, known, config, log, papers))
+            panoramas.append(panorama_from_sweep(sweep, room, known, log, papers))
         except LandmarkNavError as error:
             cause = ''
             if len(papers):

@@ -20,7 +20,7 @@ from landmark_nav.diagnosis.streams import pan_stream, read_stream, unwrapped
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
-from landmark_nav.learning.sweep_pipeline import panorama_from_sweep, PanoramaStages
+from landmark_nav.learning.sweep_pipeline import panorama_from_sweep
 from landmark_nav.storage.bags import Bag, read_sweeps
 from landmark_nav.storage.bags.definitions import DRIVE_IMAGES, SWEEP_IMAGES
 from landmark_nav.storage.bags.sweeps import measured_pans
@@ -167,7 +167,7 @@ def check_papers(bag: Bag, known: Calibration, room: Room) -> list[Finding]:
             sweep = next(sweeps, None)
             if sweep is None:
                 return found
-            axis = panorama_from_sweep(sweep, room, known, PanoramaStages()).axis
+            axis = panorama_from_sweep(sweep, room, known).axis
         except LandmarkNavError as error:
             text = str(error).removeprefix(f'{bag.path}: ')
             found.append(Finding(name, 'error', text))

@@ -16,7 +16,6 @@ import numpy as np
 from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.walls import Room
-from landmark_nav.learning.adjustment.depth_from_scale import depth_from_scale
 from landmark_nav.learning.adjustment.problem import AdjustmentConfig, CALIBRATED
 from landmark_nav.learning.adjustment.solution import adjust, Adjustment
 from landmark_nav.learning.adjustment.wall_fit import (
@@ -31,7 +30,7 @@ from landmark_nav.learning.attention.selection import attend
 from landmark_nav.learning.election import elect, ElectionConfig
 from landmark_nav.learning.least_squares import checked_covariance
 from landmark_nav.learning.reference_area.common_errors import joint_covariance
-from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
+from landmark_nav.learning.reference_area.model import MEASURED
 from landmark_nav.learning.stages import StageLog
 from landmark_nav.learning.stereo.reconstruction import reconstruct
 from landmark_nav.learning.stereo.wall_patch import StereoConfig, Ties
@@ -59,7 +58,6 @@ class LearningConfig(Config):
     stereo: StereoConfig = field(default_factory=StereoConfig)
     adjustment: AdjustmentConfig = field(default_factory=AdjustmentConfig)
     election: ElectionConfig = field(default_factory=ElectionConfig)
-    reference_area: ReferenceAreaConfig = field(default_factory=ReferenceAreaConfig)
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,7 +112,7 @@ def learn_from_panoramas(
         attended = [attend(p, config.attention) for p in panoramas]
         candidates = tuple(a.candidates for a in attended)
 
-    joint = joint_covariance(panoramas, room, config.reference_area) if places is None else places
+    joint = joint_covariance(panoramas, room) if places is None else places
 
     without_walls = replace(
         config.adjustment,
@@ -152,10 +150,6 @@ def learn_from_panoramas(
             hidden = check_walls(free, behind, room, config.adjustment)
         adjustment = adjusted_by(config.adjustment)
         residuals = wall_residuals(adjustment, found.walls, room, config.adjustment)
-        adjustment, free = depth_from_scale(
-            adjustment, free, found.measurements, found.normals, config.adjustment,
-            config.election.max_depth_sigma_m,
-        )  # fmt: skip
     uneven = wall_warnings(residuals, adjustment.hanging_sigma_m, config.adjustment)
     warning = '; '.join(filter(None, [hidden, uneven]))
     if warning:
@@ -220,7 +214,7 @@ def _calibration(
     if not config.adjustment.tilt_sigma_rad:
         # The tilt of the floor at the panoramas is not part of the mount: its variance is added.
         axis_tilt = [NAMES.index(name) for name in ('axis_roll', 'axis_pitch')]
-        floor = config.reference_area.horizon_sigma_rad**2 / len(panoramas)
+        floor = MEASURED.horizon_sigma_rad**2 / len(panoramas)
         covariance[axis_tilt, axis_tilt] += floor
     by_map = gain @ adjustment.calibration_loading
     return replace(known, values=values, covariance=covariance, by_map=by_map)

@@ -9,7 +9,7 @@ the last two once more if papers then show that the pan axis is tilted.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 import logging
 from math import pi
 
@@ -48,9 +48,8 @@ from landmark_nav.learning.reference_area.location import (
     WRONG_PRIOR,
     WrongMountError,
 )
-from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
+from landmark_nav.learning.reference_area.model import MEASURED, ReferenceAreaConfig
 from landmark_nav.learning.stages import StageLog
-from landmark_nav.parameters import Config
 from landmark_nav.quality import CalibrationTerm
 from landmark_nav.types import CameraFrame, FloatArray, ImageArray, Panorama, Sweep
 
@@ -73,13 +72,6 @@ _LEAST_VARIANCE = 1e-10
 _WIDER_SIGMAS = 2.0
 # Greatest shift of pixels between two calibrations for which the panorama is not made again.
 _SAME_PX = 0.2
-
-
-@dataclass(frozen=True)
-class PanoramaStages(Config):
-    """Parameters of the stages from a sweep to its panorama."""
-
-    reference_area: ReferenceAreaConfig = field(default_factory=ReferenceAreaConfig)
 
 
 def why_seen_otherwise(
@@ -126,7 +118,6 @@ def panorama_from_sweep(
     sweep: Sweep,
     room: Room,
     given: Calibration | PanTiltMount,
-    config: PanoramaStages,
     log: StageLog | None = None,
     papers: PaperRecord | None = None,
     tilt_rad: FloatArray | None = None,
@@ -155,12 +146,11 @@ def panorama_from_sweep(
     if not sweep.frames:
         raise LandmarkNavError('the sweep has no frames: take it again')
     prior = given if isinstance(given, Calibration) else Calibration.of_mount(given)
-    area = config.reference_area
-    papers = PaperRecord(room, area) if papers is None else papers
-    maker = _Maker(sweep, room, prior, area, log or StageLog(), papers)
+    papers = PaperRecord(room) if papers is None else papers
+    maker = _Maker(sweep, room, prior, log or StageLog(), papers)
     try:
         used = prior if tilt_rad is None else corrected(prior, MountError(0.0, tilt_rad))
-        return maker.made(used, area, _WIDER_SIGMAS)
+        return maker.made(used, MEASURED, _WIDER_SIGMAS)
     except WrongMountError as error:
         if not error.found.reasonable:
             raise
@@ -169,9 +159,9 @@ def panorama_from_sweep(
     # The uncertainty of height and tilt is that of the robot file.
     rise, tilt = maker.sigmas
     wider = replace(
-        area,
-        height_sigma_m=float(np.hypot(area.height_sigma_m, rise)),
-        horizon_sigma_rad=float(np.hypot(area.horizon_sigma_rad, tilt)),
+        MEASURED,
+        height_sigma_m=float(np.hypot(MEASURED.height_sigma_m, rise)),
+        horizon_sigma_rad=float(np.hypot(MEASURED.horizon_sigma_rad, tilt)),
     )
     return maker.made(corrected(prior, allowed), wider, WRONG_PRIOR)
 
@@ -205,7 +195,6 @@ class _Maker:
     sweep: Sweep
     room: Room
     prior: Calibration
-    area: ReferenceAreaConfig
     log: StageLog
     papers: PaperRecord
 
@@ -218,8 +207,9 @@ class _Maker:
 
     def not_exact(self, error: WrongMountError) -> MountError:
         """Return the error of a mount that may be corrected; refuse errors of exact values."""
-        area, found, (rise, tilt) = self.area, error.found, self.sigmas
-        high, off_level = found.beyond(area.height_sigma_m, area.horizon_sigma_rad, WRONG_PRIOR)
+        found, (rise, tilt) = error.found, self.sigmas
+        given = MEASURED.height_sigma_m, MEASURED.horizon_sigma_rad
+        high, off_level = found.beyond(*given, WRONG_PRIOR)
         if (high and not rise) or (off_level and not tilt):
             raise LandmarkNavError(f'{error}; robot.yaml gives it as exact (sigma 0)') from error
         return MountError(found.rise_m if rise else 0.0, found.tilt_roll_rad * (tilt > 0.0))
@@ -281,7 +271,7 @@ class _Maker:
         by_calibration, made = _by_calibration(place, found), found.calibration
         shown = place.mount_score, place.mount_information
         known = with_overlaps(self.prior, used, found.fit)
-        known = with_papers(known, made, *shown, self.area.horizon_sigma_rad)
+        known = with_papers(known, made, *shown, MEASURED.horizon_sigma_rad)
         panorama = _panorama(sweep, view, found, place, photometry, axis_tilt)
         return replace(
             panorama,

@@ -22,7 +22,6 @@ from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.facades.outline import open_room, room_of
 from landmark_nav.learning.facades.planes import (
     Facade,
-    FacadesConfig,
     find_facades,
     placed_matches,
     SeenPoints,
@@ -35,9 +34,10 @@ from landmark_nav.learning.pipeline import (
 )
 from landmark_nav.learning.relative_pose.epipolar import (
     center,
+    DIRECTION_SIGMA_RAD,
     RayPairs,
-    RelativePoseConfig,
     STATE,
+    TILT_SIGMA_RAD,
 )
 from landmark_nav.learning.relative_pose.features import find_features
 from landmark_nav.learning.relative_pose.poses import relative_poses, RelativePoses
@@ -46,7 +46,6 @@ from landmark_nav.learning.stages import StageLog
 from landmark_nav.learning.stereo.wall_patch import PatchMeasurement, Ties
 from landmark_nav.learning.sweep_pipeline import (
     panorama_from_sweep,
-    PanoramaStages,
     unplaced_panorama,
 )
 from landmark_nav.parameters import Config
@@ -57,6 +56,8 @@ _LOG = logging.getLogger(__name__)
 # Sigmas of the relative poses in the search of landmarks: m, m, m, rad.
 RELATIVE_SIGMA = np.array([0.005, 0.005, 0.003, 1e-3])
 _LEAST_VARIANCE = 1e-10
+# Sigma of the pan zero, which all sweeps share, beyond that of the robot file.
+PAN_ZERO_SIGMA_RAD = 1e-3
 # Covariance of a pose that is only used for the distances of the walls.
 _KNOWN = np.diag([1e-4, 1e-4, 1e-6])
 # A plan whose walls are farther from those found is in another frame.
@@ -66,21 +67,16 @@ _SAME_RAD, _ROUNDS = 1e-3, 4
 # Relative sigma of the scale in the adjustment, which keeps it: with a smaller scale relief would
 # be smaller too.
 _FIXED_SCALE = 1e-5
+# Weight of the expected sigmas of panoramas: residuals do not show errors that all azimuths of a
+# panorama share. Greatest relative sigma of a range: it may be large, as a bearing remains.
+_CAMERA_WEIGHT, _MAX_RANGE_SHARE = 100.0, 0.05
 
 
 @dataclass(frozen=True)
 class UnmeasuredConfig(Config):
     """Parameters of the stages that replace a plan."""
 
-    # `adjustment.camera_weight` without a plan: residuals do not show errors that all azimuths of
-    # a panorama share.
-    camera_weight: float = 100.0
-    # `election.max_range_share` without a plan: a landmark with an uncertain range still gives a
-    # bearing.
-    max_range_share: float = 0.05
     sheets: SheetsConfig = field(default_factory=SheetsConfig)
-    relative_pose: RelativePoseConfig = field(default_factory=RelativePoseConfig)
-    facades: FacadesConfig = field(default_factory=FacadesConfig)
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,7 +95,7 @@ class Located:
     places: FloatArray
     poses: RelativePoses
     ties: Ties
-    heading_sigma_rad: float
+    heading_sigma_rad: float = PAN_ZERO_SIGMA_RAD
 
     @property
     def provenance(self) -> dict[str, str]:
@@ -140,26 +136,23 @@ def locate(
     check_number(panoramas)
     log = log or StageLog()
     with log.measure('relative_poses'):
-        features = [find_features(p, config.relative_pose.features) for p in panoramas]
+        features = [find_features(p) for p in panoramas]
         sheets = [find_sheets(p, config.sheets) for p in panoramas]
         axes = [_of_axis(chain, lever) for chain in known]
-        poses = relative_poses(features, axes, lever, config.relative_pose, sheets, before)
+        poses = relative_poses(features, axes, lever, sheets, before)
     with log.measure('facades'):
-        sigma = config.relative_pose.direction_sigma_rad
-        matched = [placed_matches(poses.states, p, sigma) for p in poses.pairs]
+        matched = [placed_matches(poses.states, p) for p in poses.pairs]
         eyes = center(poses.states)
         joined = SeenPoints.joined([points for points, _ in matched])
-        facades = find_facades(joined, config.facades)
+        facades = find_facades(joined)
         try:
-            room = room_of(facades, joined, eyes, config.facades)
+            room = room_of(facades, joined, eyes)
         except LandmarkNavError as error:
             _LOG.warning('%s: only what stands for itself is learned', error)
-            room = open_room(joined, eyes, config.facades)
+            room = open_room(joined, eyes)
         off_axis = [_off_axis_m(panorama) for panorama in panoramas]
         measured = [
-            m
-            for points, pairs in matched
-            for m in _measured(points, pairs, sigma, room, eyes, off_axis)
+            m for points, pairs in matched for m in _measured(points, pairs, room, eyes, off_axis)
         ]
         shared_errors = poses.shared_errors.reshape(len(eyes), STATE, -1)[:, [0, 1, 3, 2]]
         ties = Ties(joined.positions, measured, shared_errors.reshape(4 * len(eyes), -1))
@@ -170,15 +163,13 @@ def locate(
         for p, eye, state in zip(panoramas, eyes, poses.states, strict=True)
     ]
     places = _viewpoints(poses)
-    turn = config.relative_pose.heading_sigma_rad
-    return Located(tuple(located), tuple(facades), room, places, poses, ties, turn)
+    return Located(tuple(located), tuple(facades), room, places, poses, ties)
 
 
 def locate_sweeps(
     sweeps: Callable[[], Iterator[Sweep]],
     known: Callable[[Sequence[Sweep]], Sequence[PlaceChain]],
     given: Calibration,
-    stages: PanoramaStages,
     config: UnmeasuredConfig,
     log: StageLog,
 ) -> Located:
@@ -207,9 +198,7 @@ def locate_sweeps(
         stamped.append(replace(sweep, frames=sweep.frames[:1] + sweep.frames[-1:]))
         del sweep  # large, and not needed while the next one is read
     check_number(panoramas)
-    pose = config.relative_pose
-    turn = float(np.hypot(pose.heading_sigma_rad, given.sigmas_from('axis_yaw')[0]))
-    config = replace(config, relative_pose=replace(pose, heading_sigma_rad=turn))
+    turn = float(np.hypot(PAN_ZERO_SIGMA_RAD, given.sigmas_from('axis_yaw')[0]))
     places = [_with_turn(chain, turn) for chain in known(stamped)]
     lever = np.array([*given.mount.axis_xyz[:2], panoramas[0].center_map[2]])
     located = locate(panoramas, places, lever, config, log)
@@ -223,7 +212,6 @@ def locate_sweeps(
                 replace(sweep, pose_map_base=PoseEstimate(sweep.stamp_ns, base, _KNOWN)),
                 located.room,
                 given,
-                stages,
                 log,
                 tilt_rad=tilt if tilt.any() else None,
             )
@@ -250,8 +238,8 @@ def locate_sweeps(
             np.degrees(moved_rad),
         )
     # Tilted panoramas leave headings less certain than those levelled by them.
-    located.poses.check_headings(config.relative_pose)
-    return located
+    located.poses.check_headings()
+    return replace(located, heading_sigma_rad=turn)
 
 
 def _parallax_rad(before: Located, after: Located) -> float:
@@ -283,19 +271,16 @@ def with_plan(located: Located, plan: Room) -> Located:
 
 
 def learn_located(
-    located: Located,
-    config: LearningConfig,
-    unmeasured: UnmeasuredConfig,
-    log: StageLog | None = None,
+    located: Located, config: LearningConfig, log: StageLog | None = None
 ) -> LearningResult:
     """Learn landmarks on the facades found; as `learn_from_panoramas`."""
     adjustment = replace(
         config.adjustment,
-        camera_weight=unmeasured.camera_weight,
-        tilt_sigma_rad=unmeasured.relative_pose.tilt_sigma_rad,
+        camera_weight=_CAMERA_WEIGHT,
+        tilt_sigma_rad=TILT_SIGMA_RAD,
         wave_sigma_rad=located.poses.wave_sigma_rad,
     )
-    election = replace(config.election, max_range_share=unmeasured.max_range_share)
+    election = replace(config.election, max_range_share=_MAX_RANGE_SHARE)
     config = replace(config, adjustment=adjustment, election=election)
     result = learn_from_panoramas(
         located.panoramas, located.room, config, log, located.places, located.ties
@@ -313,13 +298,12 @@ def learn_located(
             covariance[3, 3] += float(np.sum(np.square(turns)))
         panoramas.append(replace(p, covariance=covariance))
     result = replace(result, panoramas=tuple(panoramas))
-    return replace(result, map=_turned(result.map, unmeasured.relative_pose.heading_sigma_rad))
+    return replace(result, map=_turned(result.map, PAN_ZERO_SIGMA_RAD))
 
 
 def _measured(
     points: SeenPoints,
     pairs: RayPairs,
-    sigma_rad: float,
     room: Room,
     eyes: FloatArray,
     off_axis_m: Sequence[float],
@@ -333,7 +317,7 @@ def _measured(
         way = (points.positions - eyes[view])[:, :2]
         wall, _ = room.raycast(eyes[view, :2], np.arctan2(way[:, 1], way[:, 0]))
         displaced = off_axis_m[view] * (1.0 / np.hypot(way[:, 0], way[:, 1]) - 1.0 / wall)
-        sides.append((view, np.arctan2(y, x), tangent, np.hypot(sigma_rad, displaced)))
+        sides.append((view, np.arctan2(y, x), tangent, np.hypot(DIRECTION_SIGMA_RAD, displaced)))
     for k in range(len(pairs.rays)):
         yield [
             PatchMeasurement(

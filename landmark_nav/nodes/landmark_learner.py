@@ -91,8 +91,8 @@ class UnmeasuredLearner:
         def known(_stamped: Sequence[Sweep]) -> list[PlaceChain]:
             return known_places(given, spans, odometry, config.odometry)
 
-        located = locate_sweeps(sweeps, known, self._given, config, config.unmeasured, StageLog())
-        result = learn_located(located, config, config.unmeasured)
+        located = locate_sweeps(sweeps, known, self._given, config.unmeasured, StageLog())
+        result = learn_located(located, config)
         return replace(result, map=replace(result.map, provenance=located.provenance))
 
     def place_now(self, result: LearningResult) -> PoseEstimate | None:

@@ -41,7 +41,7 @@ class PanoramaSynthesizerNode(ConfiguredNode):
         self._room = load_room(self.config.room_file) if self.config.room_file else None
         self._outputs = [*map(self.advertise, PANORAMA_TOPICS)]
         self._depth = decode.BitDepth()
-        self._papers = PaperRecord(self._room, self.config.reference_area) if self._room else None
+        self._papers = PaperRecord(self._room) if self._room else None
         self._health = Health(Level.OK, 'waiting for a sweep')
         frame = self._room.frame_id if self._room else 'map'
         SweepInbox(self, self._known.mount, frame, self._on_sweep)
@@ -85,7 +85,7 @@ class PanoramaSynthesizerNode(ConfiguredNode):
             return view, 'panorama; its pose comes with learning', self._known.mount.base_frame
         self._known = self._known.for_camera(sweep.frames[0].camera.intrinsics, self._given)
         view = sweep_pipeline.panorama_from_sweep(
-            sweep, self._room, self._known, self.config, papers=self._papers
+            sweep, self._room, self._known, papers=self._papers
         )
         self._known = sweep_pipeline.next_prior(self._given, self._known, view)
         x, y, heading = *view.center_map[:2], np.degrees(view.heading_rad)

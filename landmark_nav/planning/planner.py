@@ -29,7 +29,6 @@ from landmark_nav.planning.views import (
     PlanConfig,
     sample_walls,
     sweep_poses,
-    turns_rad,
 )
 from landmark_nav.types import FloatArray
 
@@ -146,8 +145,7 @@ def plan_positions(
             'for this clearance'
         )
     samples = sample_walls(room, config.spacing_m, _SEARCH_SAMPLES)
-    turns = turns_rad(mount, config)
-    poses = np.concatenate([sweep_poses(floor, room, turn) for turn in turns])
+    poses = sweep_poses(floor, room, mount, config)
     views = look(poses, samples, room, mount, config)
     if len(views) < count:
         words = (

@@ -14,7 +14,6 @@ from landmark_nav.geometry.walls import Room
 from landmark_nav.learning.adjustment.problem import AdjustmentConfig
 from landmark_nav.learning.election import ElectionConfig
 from landmark_nav.learning.reference_area.common_errors import least_in_view, pose_errors
-from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
 from landmark_nav.learning.stereo.wall_patch import StereoConfig
 from landmark_nav.learning.unmeasured import RELATIVE_SIGMA
 from landmark_nav.localization.triplet.visibility import TripletConfig
@@ -48,7 +47,6 @@ class PlanConfig(Config):
     texture_high_m: float = 2.0
     # Number of random sets of positions for comparison.
     random_sets: int = 50
-    reference_area: ReferenceAreaConfig = field(default_factory=ReferenceAreaConfig)
     stereo: StereoConfig = field(default_factory=StereoConfig)
     adjustment: AdjustmentConfig = field(default_factory=AdjustmentConfig)
     election: ElectionConfig = field(default_factory=ElectionConfig)
@@ -171,22 +169,13 @@ def ahead_rad(floor_xy: FloatArray, room: Room) -> FloatArray:
     return np.asarray(np.arctan2(ahead[:, 1], ahead[:, 0]))
 
 
-def turns_rad(mount: PanTiltMount, config: PlanConfig) -> FloatArray:
-    """Headings of the base relative to the centre of the papers that are tried, (k,)."""
-    return -_azimuth_base(mount, np.array(config.paper_pans_rad))
-
-
 def sweep_poses(
-    floor_xy: FloatArray, room: Room, turn_rad: FloatArray | float = 0.0
+    floor_xy: FloatArray, room: Room, mount: PanTiltMount, config: PlanConfig
 ) -> FloatArray:
-    """Poses (n, 3) of the base at points (n, 2), turned from the centre of the papers."""
-    return np.column_stack([floor_xy, wrap_rad(ahead_rad(floor_xy, room) + turn_rad)])
-
-
-def _azimuth_base(mount: PanTiltMount, pan_rad: FloatArray) -> FloatArray:
-    """Azimuths (k,) of the view in the base frame at pans (k,)."""
-    ahead = mount.camera_pose_base(pan_rad)[0][..., 2]
-    return np.asarray(np.arctan2(ahead[..., 1], ahead[..., 0]))
+    """Poses (k n, 3) of the base at points (n, 2): the camera sees the papers at k pans."""
+    ahead = ahead_rad(floor_xy, room)
+    pans = mount.azimuth_base_rad(np.array(config.paper_pans_rad))
+    return np.concatenate([np.column_stack([floor_xy, wrap_rad(ahead - pan)]) for pan in pans])
 
 
 def look(
@@ -205,9 +194,8 @@ def look(
     eye = np.column_stack(
         [axis, np.full(len(axis), mount.camera_pose_base(0.0, config.camera_tilt_rad)[1][2])]
     )
-    middle = poses_map_base[:, 2] + _azimuth_base(
-        mount, np.array([0.5 * (config.pan_min_rad + config.pan_max_rad)])
-    )
+    middle_pan = np.array(0.5 * (config.pan_min_rad + config.pan_max_rad))
+    middle = poses_map_base[:, 2] + mount.azimuth_base_rad(middle_pan)
     measured = np.ones(len(eye), dtype=np.bool_)
     if room.anchors:
         hung = np.array([paper.center[:2] for paper in room.anchors]) - axis[:, None]
@@ -228,7 +216,7 @@ def look(
     proposed = config.candidates / (2.0 * np.pi) * samples.length_m * cosine / reach * share
     proposed[cosine < np.cos(config.election.max_incidence_rad)] = 0.0
     if room.anchors:
-        errors = pose_errors(eye, room, config.reference_area, config.focal_px, papers[measured])
+        errors = pose_errors(eye, room, config.focal_px, papers[measured])
     else:
         plan = np.diag(RELATIVE_SIGMA[[0, 1, 3]] ** 2)
         errors = np.tile(plan, (len(eye), 1, 1)), np.zeros((len(eye), 3, 1))

@@ -38,7 +38,7 @@ def _nothing(*_, **__):
 
 # Name -> what is put in place of what: a constant, a field of a configuration, a function.
 LEARNING: dict[str, dict[str, Any]] = {
-    'depth from sizes': {f'{_WALL}log_nearer': lambda *_: (0.0, np.inf)},
+    'sizes off the walls': {f'{_WALL}log_magnification': lambda *_: None},
     'quarters of a patch': {f'{_WALL}displaced_quarter': lambda *_: 0.0},
     'way back': {f'{_WALL}_MAX_RETURN_PX': BEST},
     'one peak (stereo)': {f'{_LEARN}stereo.wall_patch:StereoConfig.max_second_ratio': 1.0},
@@ -72,7 +72,7 @@ LEARNING: dict[str, dict[str, Any]] = {
     'tails (adjustment)': {f'{_LEARN}adjustment.solution:_TAIL_SIGMAS': BEST},
     'what sweeps share': {
         f'{_LEARN}reference_area.common_errors:_COMMON': 0.0,
-        f'{_LEARN}reference_area.common_errors:_by_papers': lambda panorama, covariance, room, c: (
+        f'{_LEARN}reference_area.common_errors:_by_papers': lambda panorama, covariance, room: (
             np.zeros((4, 1 + 2 * len(room.papers)))
         ),
     },

@@ -38,8 +38,7 @@ from landmark_nav.evaluation.metrics import (
 from landmark_nav.evaluation.run_report import bound_of
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig
 from landmark_nav.learning.reference_area.faults import PaperRecord
-from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
-from landmark_nav.learning.sweep_pipeline import next_prior, panorama_from_sweep, PanoramaStages
+from landmark_nav.learning.sweep_pipeline import next_prior, panorama_from_sweep
 from landmark_nav.localization.localizer import LocalizationConfig
 from landmark_nav.simulation.world import DEFAULT_MOUNT
 from landmark_nav.storage.bags import Bag, read_sweeps, sensor_events
@@ -164,12 +163,10 @@ class DrawnRoom:
     def learned(self, given):
         """Drive with the map of the room, and what is known of the robot then."""
         known, panoramas = given, []
-        papers = PaperRecord(self._room, ReferenceAreaConfig())
+        papers = PaperRecord(self._room)
         for sweep in read_sweeps(Bag(self._folder / 'learn'), given.mount):
             taken = replace(sweep, frames=tuple(map(self._as_given, sweep.frames)))
-            panoramas.append(
-                panorama_from_sweep(taken, self._room, known, PanoramaStages(), papers=papers)
-            )
+            panoramas.append(panorama_from_sweep(taken, self._room, known, papers=papers))
             known = next_prior(given, known, panoramas[-1])
         result = learn_from_panoramas(panoramas, self._room, LearningConfig())
         landmarks = replace(result.map, prior=given)

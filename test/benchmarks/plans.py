@@ -31,7 +31,8 @@ from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.se2 import bearings
 from landmark_nav.learning.adjustment.problem import AdjustmentConfig
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig
-from landmark_nav.learning.sweep_pipeline import panorama_from_sweep, PanoramaStages
+from landmark_nav.learning.reference_area.model import MEASURED
+from landmark_nav.learning.sweep_pipeline import panorama_from_sweep
 from landmark_nav.localization.triangulation.robust import triangulate
 from landmark_nav.localization.triplet.visibility import axis_position, fully_in_view, observable
 from landmark_nav.planning.planner import forecast, plan_positions
@@ -81,7 +82,7 @@ def check_room(seed, config, args):
 
 def _as_given(paper, config, rng):
     """Where somebody measured it, who is as exact as the planner expects."""
-    off = rng.normal(0.0, config.reference_area.paper_sigma_m, 3)
+    off = rng.normal(0.0, MEASURED.paper_sigma_m, 3)
     # Across its wall a paper can't be: what matters there are the distances along the wall.
     return replace(paper, center=tuple(float(v) for v in np.add(paper.center, off)))
 
@@ -94,7 +95,7 @@ def learn(world, room, poses):
         frames = [world.frame_at(pose, float(pan)) for pan in pans]
         frames = [replace(frame, image=as_jpeg(frame.image)) for frame in frames]
         sweep = Sweep(frames[0].stamp_ns, tuple(frames))
-        panoramas.append(panorama_from_sweep(sweep, room, world.mount, PanoramaStages()))
+        panoramas.append(panorama_from_sweep(sweep, room, world.mount))
     return learn_from_panoramas(panoramas, room, LearningConfig())
 
 

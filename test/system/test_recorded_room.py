@@ -15,7 +15,6 @@ from landmark_nav.cli.learn import panoramas_of_bag
 from landmark_nav.cli.main import main
 from landmark_nav.evaluation.metrics import pose_errors
 from landmark_nav.learning.stages import StageLog
-from landmark_nav.learning.sweep_pipeline import PanoramaStages
 from landmark_nav.planning.planner import forecast
 from landmark_nav.planning.views import PlanConfig
 from landmark_nav.simulation.furnishing import generate_scene
@@ -121,7 +120,7 @@ def test_a_sweep_that_is_read_twice_shows_no_more(monkeypatch):
     # A third of the frames still overlap.
     sweep = replace(sweep, frames=sweep.frames[::3])
     monkeypatch.setattr('landmark_nav.cli.learn.read_sweeps', lambda *_: iter([sweep, sweep]))
-    panoramas, _ = panoramas_of_bag(bag, room, given, PanoramaStages(), StageLog())
+    panoramas, _ = panoramas_of_bag(bag, room, given, StageLog())
     first, second = (panorama.calibration for panorama in panoramas)
     assert 'camera_roll' in first.surprises(given)
     np.testing.assert_allclose(second.sigmas, first.sigmas, rtol=0.1)

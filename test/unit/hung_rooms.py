@@ -10,7 +10,6 @@ from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.learning.adjustment.problem import AdjustmentConfig, wall_sections
 from landmark_nav.learning.adjustment.solution import adjust
 from landmark_nav.learning.reference_area.common_errors import joint_covariance
-from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
 from landmark_nav.learning.stereo.wall_patch import PatchMeasurement
 from landmark_nav.types import FloatArray
 
@@ -95,7 +94,7 @@ def adjusted(world, measurements, start, panoramas, config=CONFIG):
 
 
 def places_of(panoramas):
-    return joint_covariance(panoramas, ROOM, ReferenceAreaConfig())
+    return joint_covariance(panoramas, ROOM)
 
 
 def given_poses(world, rng, factor=1.0):

@@ -76,7 +76,7 @@ def learned(scenes, known=POSES):
     sigma = np.array([0.0, 0.0, 0.0, 0.03, 0.03, 0.02])
     lever = np.array([0.0, 0.0, EYE_M])
     chain = PlaceChain(known, np.diag(sigma**2))
-    return learn_located(locate(panoramas, [chain], lever, CONFIG), LearningConfig(), CONFIG)
+    return learn_located(locate(panoramas, [chain], lever, CONFIG), LearningConfig())
 
 
 def learned_or_refused(scene, boards, known=POSES, scale_off=0.06):

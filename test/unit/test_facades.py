@@ -6,9 +6,8 @@ import pytest
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
 from landmark_nav.learning.facades.outline import open_room, room_of
-from landmark_nav.learning.facades.planes import FacadesConfig, find_facades, SeenPoints
+from landmark_nav.learning.facades.planes import find_facades, SeenPoints
 
-CONFIG = FacadesConfig()
 EYES = np.array([[1.5, 1.5, 1.1], [3.5, 2.0, 1.1]])
 RECTANGLE = np.array([[0.0, 0.0], [6.0, 0.0], [6.0, 4.0], [0.0, 4.0]])
 ELL = np.array([[0, 0], [6, 0], [6, 2.5], [3.5, 2.5], [3.5, 4.5], [0, 4.5]], dtype=float)
@@ -41,7 +40,7 @@ def test_outline_of_a_room_is_found(corners, seed):
     eyes = EYES.copy()
     eyes[:, :2] = np.array([[1.5, 1.5], [2.5, 1.8]]) @ rotation.T
     points = SeenPoints(xyz, seen(xyz).covariance, np.broadcast_to(eyes[0], xyz.shape))
-    room = room_of(find_facades(points, CONFIG), points, eyes, CONFIG)
+    room = room_of(find_facades(points), points, eyes)
     found = np.array([wall.start for wall in room.walls]) @ rotation
     away = np.linalg.norm(found[:, None] - corners, axis=-1)
     assert len(found) == len(corners)
@@ -58,7 +57,7 @@ def test_outline_of_a_room_is_found(corners, seed):
 )
 def test_scattered_points_and_a_blob_make_no_facade(seed, count, low, high):
     xyz = np.random.default_rng(seed).uniform(low, high, (count, 3))
-    assert find_facades(seen(xyz), CONFIG) == []
+    assert find_facades(seen(xyz)) == []
 
 
 @pytest.mark.parametrize('depth_m', [0.14, 0.3])
@@ -70,7 +69,7 @@ def test_a_wall_and_the_cupboard_beside_it_are_not_one_facade(seed, depth_m):
         np.column_stack([rng.uniform(*x, 80), rng.normal(y, 0.01, 80), rng.uniform(0.4, 1.7, 80)])
         for x, y in (((0.7, 1.3), 0.0), ((4.6, 5.8), depth_m))
     )
-    facades = find_facades(seen(np.vstack([stretch, walls, front])), CONFIG)
+    facades = find_facades(seen(np.vstack([stretch, walls, front])))
     along_x = [f for f in facades if f.normal[1] > 0.9]
     assert len(along_x) == 2
     for facade in along_x:
@@ -111,7 +110,7 @@ def test_a_wall_is_found_with_what_stands_and_hangs_before_it(things, seed):
     rng = np.random.default_rng(seed)
     parts = [face(start, end, count, (1.0, 1.7), rng) for start, end, count in things]
     points = seen(np.vstack([on_walls(RECTANGLE, rng)[60:], *parts]))
-    room = room_of(find_facades(points, CONFIG), points, EYES, CONFIG)
+    room = room_of(find_facades(points), points, EYES)
     found = np.array([wall.start for wall in room.walls])
     assert len(found) == len(RECTANGLE)
     assert np.linalg.norm(found[:, None] - RECTANGLE, axis=-1).min(0).max() < 0.04
@@ -120,16 +119,16 @@ def test_a_wall_is_found_with_what_stands_and_hangs_before_it(things, seed):
 def test_too_few_walls_are_no_room():
     rng = np.random.default_rng(7)
     one = on_walls(RECTANGLE[:2], rng)[:60]
-    facades = find_facades(seen(one), CONFIG)
+    facades = find_facades(seen(one))
     with pytest.raises(LandmarkNavError, match='make no'):
-        room_of(facades, seen(one), EYES, CONFIG)
+        room_of(facades, seen(one), EYES)
 
 
 @pytest.mark.parametrize('count', [0, 1, 200])
 def test_without_facades_a_room_goes_around_what_is_seen(count):
     rng = np.random.default_rng(8)
     xyz = np.column_stack([rng.uniform(-2, 8, (count, 2)), rng.uniform(0.2, 2.2, count)])
-    room = open_room(seen(xyz), EYES, CONFIG)
+    room = open_room(seen(xyz), EYES)
     assert room.contains(EYES[:, :2]).all()
     around = EYES[:, :2] + np.array([[0.5, 0.0], [-0.5, 0.0]])[:, None]
     assert room.contains(around).all()
@@ -145,6 +144,6 @@ def test_two_posters_on_walls_that_meet_make_no_facade_across_the_corner():
     other = np.column_stack([np.full(40, 6.0), rng.uniform(0.65, 0.8, 40), height])
     xyz = np.vstack([one, other])
     xyz[:, :2] += rng.normal(0, 0.01, (80, 2))
-    facades = find_facades(seen(xyz, 0.03), CONFIG)
+    facades = find_facades(seen(xyz, 0.03))
     across = np.array([0.7, 0.6]) / np.hypot(0.7, 0.6)
     assert not any(abs(facade.along @ across) > 0.9 for facade in facades)

@@ -28,7 +28,7 @@ from landmark_nav.geometry.se2 import cross
 from landmark_nav.geometry.walls import Paper
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig
 from landmark_nav.learning.stages import StageLog
-from landmark_nav.learning.sweep_pipeline import next_prior, panorama_from_sweep, PanoramaStages
+from landmark_nav.learning.sweep_pipeline import next_prior, panorama_from_sweep
 from landmark_nav.learning.unmeasured import locate_sweeps, UnmeasuredConfig
 from landmark_nav.types import PlaceChain, PoseEstimate, Refusal, Sweep
 
@@ -80,7 +80,7 @@ def axis_of(pose):
 
 @pytest.fixture(scope='module')
 def panoramas():
-    return [panorama_from_sweep(sweep_at(pose), ROOM, MOUNT, PanoramaStages()) for pose in POSES]
+    return [panorama_from_sweep(sweep_at(pose), ROOM, MOUNT) for pose in POSES]
 
 
 @pytest.fixture(scope='module')
@@ -147,9 +147,7 @@ def test_learning_again_gives_the_same(panoramas, learned):
 
 def test_a_place_known_from_elsewhere_needs_no_papers():
     bare = replace(ROOM, papers=())
-    panorama = panorama_from_sweep(
-        sweep_at(POSES[0], known=POSES[0]), bare, MOUNT, PanoramaStages()
-    )
+    panorama = panorama_from_sweep(sweep_at(POSES[0], known=POSES[0]), bare, MOUNT)
     np.testing.assert_allclose(panorama.center_map, axis_of(POSES[0]))
     assert panorama.heading_rad == POSES[0][2]
     # The lever from the base to the pan axis carries the heading's error along.
@@ -161,8 +159,8 @@ def test_a_place_known_from_elsewhere_needs_no_papers():
 def test_a_place_that_papers_contradict_is_refused():
     away, near = (sweep_at(POSES[0], known=POSES[0] + [x, 0.0, 0.0]) for x in (0.1, 0.0))
     with pytest.raises(LandmarkNavError, match=r'sweep/pose and the papers disagree by \d'):
-        panorama_from_sweep(away, ROOM, Calibration.exact(MOUNT), PanoramaStages())
-    panorama_from_sweep(near, ROOM, MOUNT, PanoramaStages())
+        panorama_from_sweep(away, ROOM, Calibration.exact(MOUNT))
+    panorama_from_sweep(near, ROOM, MOUNT)
 
 
 @pytest.mark.parametrize(
@@ -174,7 +172,7 @@ def test_height_and_tilt_by_the_papers_are_used(rise_m, lean_deg):
     true = replace(
         MOUNT, axis_xyz=(x, y, z + rise_m), axis_rpy=(*np.radians(lean_deg).tolist(), 0.0)
     )
-    panorama = panorama_from_sweep(sweep_at(POSES[0], true), ROOM, MOUNT, PanoramaStages())
+    panorama = panorama_from_sweep(sweep_at(POSES[0], true), ROOM, MOUNT)
     error = panorama.center_map - axis_of(POSES[0]) - [0.0, 0.0, rise_m]
     assert np.abs(error[:2]).max() < 0.015
     assert abs(error[2]) < 4.0 * np.sqrt(panorama.covariance[2, 2])
@@ -193,7 +191,7 @@ def test_an_optical_centre_far_off_the_axis_is_calibrated(offset):
     true = replace(MOUNT, optical_center_offset=(*offset, 0.0))
     given = known = Calibration.of_mount(MOUNT)
     for pose in POSES:
-        panorama = panorama_from_sweep(sweep_at(pose, true), ROOM, known, PanoramaStages())
+        panorama = panorama_from_sweep(sweep_at(pose, true), ROOM, known)
         error = (panorama.center_map - axis_of(pose))[:2]
         assert error @ np.linalg.solve(panorama.covariance[:2, :2], error) < chdtri(2, 1e-3)
         assert np.abs(error).max() < 0.02
@@ -213,7 +211,6 @@ def test_poses_without_a_plan_by_a_camera_far_off_its_axis():
         lambda: (sweep_at(pose, true) for pose in POSES),
         lambda _: [known],
         Calibration.of_mount(true),
-        PanoramaStages(),
         UnmeasuredConfig(),
         StageLog(),
     )
@@ -232,13 +229,13 @@ def test_a_mount_that_is_implausible_or_contradicts_its_sigma_is_refused(rise_m,
     x, y, z = MOUNT.axis_xyz
     true, known = replace(MOUNT, axis_xyz=(x, y, z + rise_m)), Calibration.of_mount(MOUNT, sigmas)
     with pytest.raises(LandmarkNavError, match=words) as caught:
-        panorama_from_sweep(sweep_at(POSES[0], true), ROOM, known, PanoramaStages())
+        panorama_from_sweep(sweep_at(POSES[0], true), ROOM, known)
     assert len(str(caught.value)) < 250
 
 
 def test_too_little_to_learn_from_is_refused(panoramas):
     with pytest.raises(LandmarkNavError, match='no frames: take it again'):
-        panorama_from_sweep(Sweep(0, ()), ROOM, MOUNT, PanoramaStages())
+        panorama_from_sweep(Sweep(0, ()), ROOM, MOUNT)
     bare = Scene(tuple(wall_board(wall, flat_texture(GREY)) for wall in ROOM.walls))
     rng = np.random.default_rng(1)
     blank = [draw_panorama(bare, axis_of(pose), pose[2], rng=rng) for pose in POSES]

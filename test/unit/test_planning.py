@@ -21,6 +21,7 @@ from landmark_nav.learning.reference_area.common_errors import (
     joint_covariance,
     pose_errors,
 )
+from landmark_nav.learning.reference_area.model import MEASURED
 from landmark_nav.learning.stereo.wall_patch import PatchMeasurement
 from landmark_nav.planning.planner import exchange, forecast, plan_positions
 from landmark_nav.planning.prediction import landmark_errors
@@ -179,7 +180,7 @@ LARGE_ROOM = rectangle_room(6.0, 5.0, HUNG)
 
 
 def errors_at(eye):
-    return pose_errors(eye, LARGE_ROOM, DEFAULT.reference_area, DEFAULT.focal_px)
+    return pose_errors(eye, LARGE_ROOM, DEFAULT.focal_px)
 
 
 class TestPaperPose:
@@ -187,12 +188,11 @@ class TestPaperPose:
         # Least squares of the twelve edges, its derivatives by differences, many times.
         eye = np.array([2.4, 2.2, 1.1])
         rng = np.random.default_rng(5)
-        area = DEFAULT.reference_area
-        tilts = [area.horizon_sigma_rad] * 2
-        given = [area.height_sigma_m, *tilts, area.paper_size_sigma]
+        tilts = [MEASURED.horizon_sigma_rad] * 2
+        given = [MEASURED.height_sigma_m, *tilts, MEASURED.paper_size_sigma]
         prior = np.array([np.inf] * 3 + given)
-        prior = np.append(prior, [area.paper_sigma_m] * 6)
-        pixel = np.hypot(0.03, area.edge_sigma_px) / DEFAULT.focal_px
+        prior = np.append(prior, [MEASURED.paper_sigma_m] * 6)
+        pixel = np.hypot(0.03, MEASURED.edge_sigma_px) / DEFAULT.focal_px
 
         def edges(p):
             measured = []
@@ -269,7 +269,7 @@ def test_landmark_errors_are_those_of_the_adjustment():
     spread, by_papers = errors_at(eye)
     config = AdjustmentConfig(camera_weight=1e9, place_weight=1e9, room_weight=1e9)
     views = panoramas(poses, spread)
-    places = joint_covariance(views, LARGE_ROOM, DEFAULT.reference_area)
+    places = joint_covariance(views, LARGE_ROOM)
     done = adjust(measurements, list(walls), points, views, places, LARGE_ROOM, config)
     own, loading = landmark_errors(
         azimuth, np.linalg.norm(delta, axis=-1),

@@ -224,7 +224,7 @@ def test_images_without_colour_are_reported():
     with pytest.raises(LandmarkNavError, match='by their colour, and the images have none'):
         locate(grey_sweep, room)
     # It says nothing of where papers hang, so that the next sweep is not doubted for it.
-    papers = PaperRecord(room, CONFIG)
+    papers = PaperRecord(room)
     for one in (grey_sweep, sweep):
         papers.add(synthesize_cylinder(one, MOUNT), EYE_M)
         assert papers.faults().fits
@@ -324,7 +324,7 @@ def views_of(papers, seed=0):
 
 
 def judged(papers, given=ROOM):
-    return paper_faults(views_of(papers), given, CONFIG)
+    return paper_faults(views_of(papers), given)
 
 
 def with_moved(k, left_m=0.0, up_m=0.0):
@@ -335,7 +335,7 @@ def with_moved(k, left_m=0.0, up_m=0.0):
 
 @pytest.mark.parametrize('seed', range(6))
 def test_papers_that_hang_as_given_fit(seed):
-    found = paper_faults(views_of(EAST, seed), ROOM, CONFIG)
+    found = paper_faults(views_of(EAST, seed), ROOM)
     assert found.fits
     assert not found.faults
     assert found.text == ''
@@ -369,7 +369,7 @@ def test_a_paper_that_nobody_sees_is_not_laid_to_others_colours():
     # Two faults: green is covered, blue and red hang on each other's places.
     papers = (replace(EAST[0], color='blue'), replace(EAST[2], color='red'))
     views = [PaperView({'green': NONE, **view.outlines}, EYE_M) for view in views_of(papers)]
-    found = paper_faults(views, ROOM, CONFIG)
+    found = paper_faults(views, ROOM)
     assert not found.fits
     assert 'swapped' not in [fault.kind for fault in found.faults]
 

@@ -15,7 +15,6 @@ from landmark_nav.learning.relative_pose.epipolar import (
     center,
     misses,
     RayPairs,
-    RelativePoseConfig,
     STATE,
 )
 from landmark_nav.learning.relative_pose.features import Features, find_features
@@ -25,9 +24,9 @@ from landmark_nav.learning.relative_pose.poses import relative_poses
 from landmark_nav.learning.relative_pose.rigid_sets import rigid_set
 from landmark_nav.learning.relative_pose.sheet_tracks import Length
 from landmark_nav.learning.relative_pose.two_views import two_views_of
+from landmark_nav.learning.unmeasured import PAN_ZERO_SIGMA_RAD
 from landmark_nav.types import PlaceChain
 
-CONFIG = RelativePoseConfig()
 EYE_M = 1.1
 LEVER = np.array([0.08, 0.02, EYE_M])
 POSES = np.array([[0.0, 0.0, 0.0], [1.8, 0.6, 0.5], [2.4, -0.9, -2.0]])
@@ -77,7 +76,7 @@ def odometry(poses, sigma_m=0.06, sigma_rad=0.03):
 def found(poses, known, seed, sigma_m=0.06):
     rng = np.random.default_rng(seed)
     seen = features(poses, room_points(rng, 250), rng)
-    return relative_poses(seen, [odometry(known, sigma_m)], LEVER, CONFIG)
+    return relative_poses(seen, [odometry(known, sigma_m)], LEVER)
 
 
 def directions_off(states, poses):
@@ -123,7 +122,7 @@ def test_more_pairs_do_not_average_what_all_of_them_share():
         seen = np.stack([points] * count)
         seen[1:, points[:, 0] > 4.99, 1] += 0.1  # moved after the first sweep
         panoramas = features(MANY[:count], seen, rng)
-        result = relative_poses(panoramas, [odometry(MANY[:count])], LEVER, CONFIG)
+        result = relative_poses(panoramas, [odometry(MANY[:count])], LEVER)
         sigma.append(np.linalg.norm(result.shared_errors[2::STATE], axis=1)[1])
         turn = wrap_rad(result.states[1, 2] - MANY[1, 2])
         assert abs(turn) < 3.0 * np.hypot(np.radians(0.1), sigma[-1])
@@ -153,7 +152,7 @@ def test_things_that_move_together_do_not_make_a_wrong_pose_certain(moved_m, wal
         later = points[:, 0] > 4.99
     seen[1, later, 1] += moved_m
     pair = features(POSES[:2], seen, rng)
-    result = relative_poses(pair, [odometry(POSES[:2])], LEVER, CONFIG)
+    result = relative_poses(pair, [odometry(POSES[:2])], LEVER)
     # The noise, and what the pair cannot exclude.
     heading, course = directions_off(result.states, POSES[:2])[0]
     sigma = np.hypot(np.radians(0.15), np.linalg.norm(result.shared_errors[STATE + 2]))
@@ -176,7 +175,7 @@ def test_sigma_of_the_heading_contains_errors_that_matches_of_one_direction_shar
         rays, other = (r / np.hypot(r[:, 0], r[:, 1])[:, None] for r in (rays, other))
         sector = (np.arctan2(rays[:, 1], rays[:, 0]) * 10.0 / np.pi).astype(int)
         other[:, 2] += rng.normal(0.0, 2e-3, 21)[sector] + rng.normal(0.0, 5e-4, 300)
-        found = rigid_set(states, RayPairs(0, 1, rays, other), CONFIG)
+        found = rigid_set(states, RayPairs(0, 1, rays, other))
         normal.append((found.state[2] - states[1, 2]) / np.linalg.norm(found.loading[2]))
     assert 0.3 < np.mean(np.square(normal)) < 3.0
 
@@ -186,7 +185,7 @@ def test_the_pose_that_most_agree_on_is_found_among_things_that_moved():
     points = room_points(rng, 300)
     seen, later = np.stack([points, points]), rng.uniform(size=300) < 0.4
     seen[1, later] += [0.2, 0.1, 0.0]
-    result = relative_poses(features(POSES[:2], seen, rng), [odometry(POSES[:2])], LEVER, CONFIG)
+    result = relative_poses(features(POSES[:2], seen, rng), [odometry(POSES[:2])], LEVER)
     assert np.abs(np.degrees(directions_off(result.states, POSES[:2]))).max() < 0.3
 
 
@@ -204,7 +203,7 @@ def test_slip_that_panoramas_do_not_show_is_inside_the_sigma_of_the_scale(aside_
     known = odometry(POSES[:2] + np.array([[0.0, 0.0, 0.0], [*slip, 0.0]]), 0.06, 0.03)
     rng = np.random.default_rng(3)
     seen = features(POSES[:2], room_points(rng, 250), rng)
-    result = relative_poses(seen, [replace(known, slip_m=0.1)], LEVER, CONFIG)
+    result = relative_poses(seen, [replace(known, slip_m=0.1)], LEVER)
     scale = np.hypot(*result.states[1, :2] - result.states[0, :2]) / np.hypot(*way)
     assert abs(scale - 1.0) < 3.0 * result.scale_sigma
 
@@ -218,7 +217,7 @@ def test_odometry_that_contradicts_the_panoramas_is_refused(wrong, count, sigma)
     seen = features(POSES[:2], room_points(rng, count), rng)
     known = odometry(np.array([[0.0, 0.0, 0.0], wrong]), *sigma)
     with pytest.raises(LandmarkNavError, match='odom and panoramas disagree') as refused:
-        relative_poses(seen, [known], LEVER, CONFIG)
+        relative_poses(seen, [known], LEVER)
     assert 'pan_axis' in str(refused.value)
 
 
@@ -243,7 +242,7 @@ def test_panoramas_of_different_rooms_or_of_one_place_are_refused():
     together = features(turned, room_points(rng, 250), rng)
     for seen, words in ((apart, 'sweep 2 shares too little'), (together, 'from one place')):
         with pytest.raises(LandmarkNavError, match=words):
-            relative_poses(seen, [odometry(POSES[:2])], LEVER, CONFIG)
+            relative_poses(seen, [odometry(POSES[:2])], LEVER)
 
 
 def test_misses_are_zero_for_true_poses_and_their_slopes_are_right():
@@ -269,7 +268,7 @@ def test_misses_are_zero_for_true_poses_and_their_slopes_are_right():
 @pytest.mark.parametrize('seed', [1, 2])
 def test_where_nothing_moved_headings_are_certain(seed):
     result = found(POSES[:2], POSES[:2], seed)
-    assert np.linalg.norm(result.shared_errors[2::STATE], axis=1).max() < CONFIG.heading_sigma_rad
+    assert np.linalg.norm(result.shared_errors[2::STATE], axis=1).max() < PAN_ZERO_SIGMA_RAD
 
 
 def test_features_are_where_they_are_seen():
@@ -283,7 +282,7 @@ def test_features_are_where_they_are_seen():
     for (x, y), size in zip(middles, rng.uniform(2.0, 6.0, len(middles)), strict=True):
         image += 80.0 * np.exp(-((column - x) ** 2 + (row - y) ** 2) / (2.0 * size**2))
     grey = np.clip(image, 0, 255).astype(np.uint8)
-    found = find_features(panorama_of(np.dstack([grey] * 3), cylinder), 2000).rays
+    found = find_features(panorama_of(np.dstack([grey] * 3), cylinder)).rays
     apart = np.linalg.norm(cylinder.rays(middles)[:, None] - found, axis=-1)
     nearest = apart.argmin(axis=1)
     seen = apart.min(axis=1) * 300.0 < 1.0

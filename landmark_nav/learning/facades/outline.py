@@ -20,7 +20,6 @@ from landmark_nav.geometry.walls import Room, Wall
 from landmark_nav.learning.facades.planes import (
     bare,
     Facade,
-    FacadesConfig,
     FLOOR_M,
     on_and_through,
     SeenPoints,
@@ -28,6 +27,8 @@ from landmark_nav.learning.facades.planes import (
 from landmark_nav.types import FloatArray
 
 _RAYS = 1440
+# Least height of walls, m: their tops are not observed; sigma of a facade before adjustment, m.
+_HEIGHT_M, _SIGMA_M = 2.5, 0.03
 # A room without facades: number of its walls, their least distance beyond the viewpoints, its
 # distance beyond its points, and the share of points inside it.
 _OPEN_WALLS, _OPEN_M, _BEYOND_M, _OPEN_SHARE = 12, 1.0, 0.1, 0.98
@@ -51,9 +52,7 @@ _OVER_EYE_M, _ABOVE_M = 0.2, 0.3
 _NEVER = 1e9
 
 
-def room_of(
-    facades: Sequence[Facade], points: SeenPoints, eyes: FloatArray, config: FacadesConfig
-) -> Room:
+def room_of(facades: Sequence[Facade], points: SeenPoints, eyes: FloatArray) -> Room:
     """
     Build a room from facades.
 
@@ -62,11 +61,11 @@ def room_of(
     Raises `LandmarkNavError`: the facades and the walls that join them do not surround the sweeps.
     """
     tall = [f for f in facades if f.high_m > eyes[:, 2].max() + _OVER_EYE_M]
-    height = max([config.wall_height_m, *(f.high_m + _ABOVE_M for f in facades)])
+    height = max([_HEIGHT_M, *(f.high_m + _ABOVE_M for f in facades)])
     corners = []
     if len(tall) > 1:
-        corners = _corners(tall, *_outline(tall, points, eyes, config), eyes[:, :2].mean(0))
-    room = _closed(corners, height, config)
+        corners = _corners(tall, *_outline(tall, points, eyes), eyes[:, :2].mean(0))
+    room = _closed(corners, height)
     if not room.contains(eyes[:, :2]).all():
         raise LandmarkNavError(
             f'the {len(tall)} flat surfaces found do not surround the sweeps: take another sweep '
@@ -75,7 +74,7 @@ def room_of(
     return room
 
 
-def open_room(points: SeenPoints, eyes: FloatArray, config: FacadesConfig) -> Room:
+def open_room(points: SeenPoints, eyes: FloatArray) -> Room:
     """Room around all points, if facades enclose none; arguments are those of `room_of`."""
     middle = eyes[:, :2].mean(0)
     reach = np.hypot(*(points.positions[:, :2] - middle).T)
@@ -84,19 +83,17 @@ def open_room(points: SeenPoints, eyes: FloatArray, config: FacadesConfig) -> Ro
     far = far / np.cos(np.pi / _OPEN_WALLS) + _BEYOND_M
     ends = 2.0 * np.pi * np.arange(_OPEN_WALLS) / _OPEN_WALLS
     corners = [(middle + far * np.array([np.cos(a), np.sin(a)]), -1) for a in ends]
-    return _closed(corners, config.wall_height_m, config)
+    return _closed(corners, _HEIGHT_M)
 
 
-def _closed(
-    corners: Sequence[tuple[FloatArray, int]], height: float, config: FacadesConfig
-) -> Room:
+def _closed(corners: Sequence[tuple[FloatArray, int]], height: float) -> Room:
     """Room of corners; `LandmarkNavError` if there are too few or its walls cross."""
     if len(corners) >= 3:
         walls = []
         for k, (start, facade) in enumerate(corners):
-            name, sigma = f'facade{facade + 1}', config.sigma_m
+            name, sigma = f'facade{facade + 1}', _SIGMA_M
             if facade < 0:
-                name, sigma = 'gap', 3.0 * config.sigma_m
+                name, sigma = 'gap', 3.0 * _SIGMA_M
             end, _ = corners[(k + 1) % len(corners)]
             first, last = ((float(p[0]), float(p[1])) for p in (start, end))
             walls.append(Wall(f'{name}_{k + 1}', first, last, height, sigma))
@@ -109,7 +106,7 @@ def _closed(
 
 
 def _outline(
-    facades: Sequence[Facade], points: SeenPoints, eyes: FloatArray, config: FacadesConfig
+    facades: Sequence[Facade], points: SeenPoints, eyes: FloatArray
 ) -> tuple[IndexArray, FloatArray]:
     """Likeliest facade along each ray from the middle, -1 for none; distances (k + 1, rays)."""
     # Viterbi's algorithm along the rays (as Flint, Murray and Reid, ICCV 2011): facades extend as
@@ -130,7 +127,7 @@ def _outline(
         facing[k] = np.maximum(-(ray @ facade.normal), _LEAST_FACING)
         reach[k] = ((middle - facade.start) @ facade.normal) / facing[k]
         along = (middle + reach[k, :, None] * ray - facade.start) @ facade.along
-        on, through, crossed = on_and_through(points, facade, config)
+        on, through, crossed = on_and_through(points, facade)
         empty[k] = bare(along, on)
         cost[k] = np.where((facing[k] > _LEAST_FACING) & (reach[k] > 0.0), 0.0, _NEVER)
         # Where points support it, others behind it are outliers, or are reflected.

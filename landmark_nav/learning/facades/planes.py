@@ -14,9 +14,13 @@ import numpy as np
 
 from landmark_nav.arrays import BoolArray, IndexArray
 from landmark_nav.geometry.se2 import cross
-from landmark_nav.learning.relative_pose.epipolar import center, RayPairs, turned
+from landmark_nav.learning.relative_pose.epipolar import (
+    center,
+    DIRECTION_SIGMA_RAD,
+    RayPairs,
+    turned,
+)
 from landmark_nav.learning.right_angles import common_direction, from_right, pull
-from landmark_nav.parameters import Config
 from landmark_nav.types import FloatArray
 
 # Points with a larger sigma, m, or a smaller parallax, rad, are not used.
@@ -50,13 +54,11 @@ class SeenPoints:
         return SeenPoints(self.positions[which], self.covariance[which], self.viewpoints[which])
 
 
-def placed_matches(
-    states: FloatArray, pairs: RayPairs, sigma_rad: float
-) -> tuple[SeenPoints, RayPairs]:
+def placed_matches(states: FloatArray, pairs: RayPairs) -> tuple[SeenPoints, RayPairs]:
     """
     Intersect the rays of inlier matches in plan; return points and pairs with enough parallax.
 
-    `states` (v, 6) are those of the sweeps from `relative_poses`, `sigma_rad` is that of a ray.
+    `states` (v, 6) are those of the sweeps from `relative_poses`.
     """
     here, there = (center(states[k]) for k in (pairs.one, pairs.other))
     w = turned(states[pairs.one], pairs.rays)
@@ -67,7 +69,10 @@ def placed_matches(
     with np.errstate(divide='ignore', invalid='ignore'):
         reach, reach_there = cross(way, v) / sine, cross(way, w) / sine
         first, second = here + reach[:, None] * w, there + reach_there[:, None] * v
-        along = (reach_there * sigma_rad / sine) ** 2, (reach * sigma_rad / sine) ** 2
+        along = (
+            (reach_there * DIRECTION_SIGMA_RAD / sine) ** 2,
+            (reach * DIRECTION_SIGMA_RAD / sine) ** 2,
+        )
     covariance = along[1][:, None, None] * v[:, :2, None] * v[:, None, :2]
     covariance += along[0][:, None, None] * w[:, :2, None] * w[:, None, :2]
     certain = (np.abs(sine) > np.sin(_LEAST_PARALLAX)) & (reach > 0.0) & (reach_there > 0.0)
@@ -76,24 +81,13 @@ def placed_matches(
     return points.chosen(certain), pairs.chosen(certain)
 
 
-@dataclass(frozen=True)
-class FacadesConfig(Config):
-    """What counts as a flat vertical surface, and its uncertainty."""
-
-    # Sigma of points of a facade about its plane, m.
-    relief_m: float = 0.015
-    # Fewest cells of 10 cm x 10 cm that contain points; half at a right angle to other facades.
-    min_cells: int = 12
-    min_length_m: float = 0.4
-    # Longest part of a facade without points, m.
-    max_gap_m: float = 1.2
-    # Least height of walls, m: their tops are not observed.
-    wall_height_m: float = 2.5
-    # Sigma of a facade before adjustment, m.
-    sigma_m: float = 0.03
-    max_facades: int = 24
-
-
+# Sigma of points of a facade about its plane, m.
+_RELIEF_M = 0.015
+# Fewest cells of 10 cm x 10 cm that contain points; half at a right angle to other facades.
+_MIN_CELLS = 12
+# Least length of a facade and longest part of it without points, m.
+_MIN_LENGTH_M, _MAX_GAP_M = 0.4, 1.2
+_MOST_FACADES = 24
 _TRIALS, _SEED = 600, 5
 # Greatest distance of the two points of a trial, m; bound of inliers, in sigmas.
 _REACH_M, _INLIER_SIGMAS = 3.0, 2.5
@@ -156,50 +150,50 @@ class Facade:
         return float(np.hypot(*(self.end - self.start)))
 
 
-def find_facades(points: SeenPoints, config: FacadesConfig) -> list[Facade]:
+def find_facades(points: SeenPoints) -> list[Facade]:
     """Find facades among points, in the order of their support."""
     left = above = points.chosen(points.positions[:, 2] > FLOOR_M)
     rng = np.random.default_rng(_SEED)
     found: list[SeenPoints] = []
-    common, fewest = None, _OBLIQUE * config.min_cells
-    while len(found) < config.max_facades and len(left) >= fewest:
-        members = _best_line(left, config, rng, common)
+    common, fewest = None, _OBLIQUE * _MIN_CELLS
+    while len(found) < _MOST_FACADES and len(left) >= fewest:
+        members = _best_line(left, rng, common)
         if members is None:
             break
-        facade = _fit(left.chosen(members), config, common)
-        if facade.length_m < config.min_length_m:
+        facade = _fit(left.chosen(members), common)
+        if facade.length_m < _MIN_LENGTH_M:
             left = left.chosen(~members)
             continue
-        cells = facade.cells - _cells_beside(above, facade, config)
+        cells = facade.cells - _cells_beside(above, facade)
         likely = _prior(facade.angle_rad, common) * cells >= fewest
         if likely and facade.turn_rad < _TURN_RAD:
             found.append(left.chosen(members))
-            common = _common(found, config)
+            common = _common(found)
             # What is seen through a wall is a reflection, or falsely matched.
-            on, through, crossed = on_and_through(left, facade, config)
+            on, through, crossed = on_and_through(left, facade)
             members = members | (through & ~bare(crossed, on))
-        left = left.chosen(~(members | _covered(left, facade, config)))
-    return sorted(_joined(found, config, common), key=lambda f: -f.cells)
+        left = left.chosen(~(members | _covered(left, facade)))
+    return sorted(_joined(found, common), key=lambda f: -f.cells)
 
 
-def _common(found: list[SeenPoints], config: FacadesConfig) -> float:
+def _common(found: list[SeenPoints]) -> float:
     """Direction to which most facades are at right angles."""
-    _, along, variance = map(np.array, zip(*(_line(m, config) for m in found), strict=True))
+    _, along, variance = map(np.array, zip(*(_line(m) for m in found), strict=True))
     length = [np.ptp(m.positions[:, :2] @ a) for m, a in zip(found, along, strict=True)]
     return common_direction(np.arctan2(along[:, 1], along[:, 0]), variance, np.array(length))
 
 
-def _joined(found: list[SeenPoints], config: FacadesConfig, common: float | None) -> list[Facade]:
+def _joined(found: list[SeenPoints], common: float | None) -> list[Facade]:
     """Facades, with parts of one facade joined."""
-    facades = [_fit(members, config, common) for members in found]
-    bound = _INLIER_SIGMAS * config.relief_m
+    facades = [_fit(members, common) for members in found]
+    bound = _INLIER_SIGMAS * _RELIEF_M
     k = 0
     while k < len(facades):
         for j in range(k + 1, len(facades)):
             if facades[k].normal @ facades[j].normal < _SAME_NORMAL:
                 continue
             both = SeenPoints.joined([found[k], found[j]])
-            whole = _fit(both, config, common)
+            whole = _fit(both, common)
             ends = np.array([(f.start, f.end) for f in (facades[k], facades[j])])
             off = (ends - whole.start) @ whole.normal
             # The front of a cupboard and the wall next to it also fit a line, but a rotated one.
@@ -214,21 +208,19 @@ def _joined(found: list[SeenPoints], config: FacadesConfig, common: float | None
     return facades
 
 
-def _cells_beside(points: SeenPoints, facade: Facade, config: FacadesConfig) -> int:
+def _cells_beside(points: SeenPoints, facade: Facade) -> int:
     """How many cells of a facade hold points that are near it and yet not on it."""
     off = points.positions[:, :2] - facade.start
     along, away = off @ facade.along, np.abs(off @ facade.normal)
     height = points.positions[:, 2]
     beside = (along > 0.0) & (along < facade.length_m) & (away < _BESIDE_M)
     beside &= (height > facade.low_m) & (height < facade.high_m)
-    variance = _variance(points, facade.normal, config)
+    variance = _variance(points, facade.normal)
     beside &= away > _INLIER_SIGMAS * np.sqrt(variance)
     return _cells(along[beside], height[beside])
 
 
-def on_and_through(
-    points: SeenPoints, facade: Facade, config: FacadesConfig
-) -> tuple[FloatArray, BoolArray, FloatArray]:
+def on_and_through(points: SeenPoints, facade: Facade) -> tuple[FloatArray, BoolArray, FloatArray]:
     """
     Points on the plane of a facade and seen through it.
 
@@ -238,7 +230,7 @@ def on_and_through(
     off = points.positions[:, :2] - facade.start
     ahead = (points.viewpoints[:, :2] - facade.start) @ facade.normal
     away = off @ facade.normal
-    bound = _INLIER_SIGMAS * np.sqrt(_variance(points, facade.normal, config))
+    bound = _INLIER_SIGMAS * np.sqrt(_variance(points, facade.normal))
     on = (np.abs(away) < bound) & (ahead > 0.0)
     through = (away < -np.maximum(bound, _BESIDE_M)) & (ahead > 0.0)
     share = np.where(through, ahead, 0.0) / np.where(through, ahead - away, 1.0)
@@ -256,7 +248,7 @@ def bare(along: FloatArray, on: FloatArray) -> BoolArray:
 
 
 def _line(
-    members: SeenPoints, config: FacadesConfig, common: float | None = None
+    members: SeenPoints, common: float | None = None
 ) -> tuple[FloatArray, FloatArray, float]:
     """Robust line, at a right angle to `common` if likely: middle, direction, its variance."""
     xy, weight = members.positions[:, :2], np.ones(len(members))
@@ -271,20 +263,20 @@ def _line(
             along = np.array([np.cos(angle), np.sin(angle)])
         normal = np.array([-along[1], along[0]])
         miss = off @ normal
-        variance = _variance(members, normal, config)
+        variance = _variance(members, normal)
         # What hangs in one section of a wall is equally far from it.
         section = np.unique(np.floor(off @ along / _SECTION_M), return_inverse=True)[1]
-        alike = np.bincount(section)[section] * config.relief_m**2
+        alike = np.bincount(section)[section] * _RELIEF_M**2
         weight = (1.0 + miss**2 / variance / 4.0) ** -2.0 / (variance + alike)
     return middle, along, turn
 
 
-def _fit(members: SeenPoints, config: FacadesConfig, common: float | None) -> Facade:
+def _fit(members: SeenPoints, common: float | None) -> Facade:
     """Facade through points, as `_line`."""
-    middle, along, _ = _line(members, config, common)
+    middle, along, _ = _line(members, common)
     xy = members.positions[:, :2]
     normal = np.array([-along[1], along[0]])
-    variance, miss = _variance(members, normal, config), (xy - middle) @ normal
+    variance, miss = _variance(members, normal), (xy - middle) @ normal
     eye = members.viewpoints[:, :2].mean(0)
     normal = normal if (eye - middle) @ normal > 0.0 else -normal
     along = np.array([normal[1], -normal[0]])
@@ -316,10 +308,10 @@ def _turn(along: FloatArray, miss: FloatArray, variance: FloatArray) -> float:
     return float(np.hypot(pull / information, information**-0.5))
 
 
-def _variance(points: SeenPoints, normal: FloatArray, config: FacadesConfig) -> FloatArray:
+def _variance(points: SeenPoints, normal: FloatArray) -> FloatArray:
     (x, y), own = normal, points.covariance
     return np.asarray(
-        x**2 * own[:, 0, 0] + 2.0 * x * y * own[:, 0, 1] + y**2 * own[:, 1, 1] + config.relief_m**2
+        x**2 * own[:, 0, 0] + 2.0 * x * y * own[:, 0, 1] + y**2 * own[:, 1, 1] + _RELIEF_M**2
     )
 
 
@@ -330,7 +322,7 @@ def _cells(along: FloatArray, height: FloatArray) -> int:
 
 
 def _best_line(
-    points: SeenPoints, config: FacadesConfig, rng: np.random.Generator, common: float | None
+    points: SeenPoints, rng: np.random.Generator, common: float | None
 ) -> BoolArray | None:
     """Points (n,) on the part of a line with the most support; None if there is too little."""
     xy = points.positions[:, :2]
@@ -348,18 +340,18 @@ def _best_line(
         along = np.array([np.cos(angle), np.sin(angle)])
         normal = np.array([-along[1], along[0]])
         ahead = (points.viewpoints[:, :2] - xy[first]) @ normal
-        miss = (off @ normal) ** 2 / _variance(points, normal, config)
+        miss = (off @ normal) ** 2 / _variance(points, normal)
         on = (miss < _INLIER_SIGMAS**2) & (np.sign(ahead) == np.sign(ahead[first]))
         # No more cells than points.
         prior = _prior(angle, common)
         if prior * np.count_nonzero(on) <= most:
             continue
-        on = _stretch(off @ along, on, config.max_gap_m)
+        on = _stretch(off @ along, on)
         cells = _cells((off @ along)[on], points.positions[on, 2])
         support = prior * cells * float(np.mean(1.0 - miss[on] / _INLIER_SIGMAS**2))
         if support > most:
             best, most = on, support
-    return best if most >= 0.4 * _OBLIQUE * config.min_cells else None
+    return best if most >= 0.4 * _OBLIQUE * _MIN_CELLS else None
 
 
 def _prior(angle_rad: float, common: float | None) -> float:
@@ -368,23 +360,21 @@ def _prior(angle_rad: float, common: float | None) -> float:
     return 1.0 if right else _OBLIQUE
 
 
-def _stretch(along: FloatArray, on: BoolArray, max_gap_m: float) -> BoolArray:
+def _stretch(along: FloatArray, on: BoolArray) -> BoolArray:
     """Points of the longest part without a gap, among those on a line."""
     index = np.flatnonzero(on)
     index = index[np.argsort(along[index], kind='stable')]
-    breaks = np.flatnonzero(np.diff(along[index]) > max_gap_m) + 1
+    breaks = np.flatnonzero(np.diff(along[index]) > _MAX_GAP_M) + 1
     part = max(np.split(index, breaks), key=len)
     kept = np.zeros(len(along), dtype=bool)
     kept[part] = True
     return kept
 
 
-def _covered(points: SeenPoints, facade: Facade, config: FacadesConfig) -> BoolArray:
+def _covered(points: SeenPoints, facade: Facade) -> BoolArray:
     """Points (n,) that belong to a facade."""
     off = points.positions[:, :2] - facade.start
     along = off @ facade.along
     inside = (along > -_CELL_M) & (along < facade.length_m + _CELL_M)
-    bound = np.maximum(
-        _INLIER_SIGMAS * np.sqrt(_variance(points, facade.normal, config)), _TAKEN_M
-    )
+    bound = np.maximum(_INLIER_SIGMAS * np.sqrt(_variance(points, facade.normal)), _TAKEN_M)
     return np.asarray(inside & (np.abs(off @ facade.normal) < bound))

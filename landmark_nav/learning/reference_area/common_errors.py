@@ -18,9 +18,9 @@ from landmark_nav.learning.least_squares import covariance_of, root_of, solve_ro
 from landmark_nav.learning.reference_area.markers import LEAST_MARKERS
 from landmark_nav.learning.reference_area.model import (
     linearized,
+    MEASURED,
     OF_PAPER,
     PaperPlaces,
-    ReferenceAreaConfig,
 )
 from landmark_nav.learning.reference_area.search import LEAST_PAPERS, papers_in_view
 from landmark_nav.types import FloatArray, Panorama
@@ -44,7 +44,6 @@ def least_in_view(room: Room) -> int:
 def pose_errors(
     eye: FloatArray,
     room: Room,
-    config: ReferenceAreaConfig,
     focal_px: float,
     seen: BoolArray | None = None,
 ) -> tuple[FloatArray, FloatArray]:
@@ -83,10 +82,10 @@ def pose_errors(
     _, jacobian = linearized(outlines, states)
     if seen is not None:
         jacobian *= np.repeat(seen, 4, axis=1)[:, None]
-    sigma = np.hypot(_PROFILES_PX, config.edge_sigma_px) / focal_px
+    sigma = np.hypot(_PROFILES_PX, MEASURED.edge_sigma_px) / focal_px
     jacobian /= sigma
-    given = [config.height_sigma_m, *[config.horizon_sigma_rad] * 2, config.paper_size_sigma]
-    given += [max(config.paper_sigma_m, 1e-6)] * (2 * papers)
+    given = [MEASURED.height_sigma_m, *[MEASURED.horizon_sigma_rad] * 2]
+    given += [MEASURED.paper_size_sigma, *[MEASURED.paper_sigma_m] * (2 * papers)]
     prior = np.array([np.inf] * 3 + given)
     information = jacobian @ np.swapaxes(jacobian, -1, -2) + np.diag(prior**-2.0)
     covariance = np.linalg.inv(information)
@@ -95,9 +94,7 @@ def pose_errors(
     return np.asarray(covariance[:, :3, :3]), np.asarray(by_papers)
 
 
-def joint_covariance(
-    panoramas: Sequence[Panorama], room: Room, config: ReferenceAreaConfig
-) -> FloatArray:
+def joint_covariance(panoramas: Sequence[Panorama], room: Room) -> FloatArray:
     """
     Joint covariance (4 v, 4 v) of x, y, z, heading of v sweeps that were estimated separately.
 
@@ -106,7 +103,7 @@ def joint_covariance(
     height only.
     """
     alone = [p.covariance + 1e-12 * np.eye(4) for p in panoramas]
-    loading = [_loading(p, c, room, config) for p, c in zip(panoramas, alone, strict=True)]
+    loading = [_loading(p, c, room) for p, c in zip(panoramas, alone, strict=True)]
     rest = [c - part @ part.T for c, part in zip(alone, loading, strict=True)]
     height = _COMMON * min(1.0 / covariance_of(c)[2, 2] for c in rest)
     up = np.sqrt(height) * np.array([[0.0], [0.0], [1.0], [0.0]])
@@ -127,22 +124,18 @@ def joined(alone: FloatArray, loading: FloatArray) -> FloatArray:
     return np.asarray(joint)
 
 
-def _loading(
-    panorama: Panorama, covariance: FloatArray, room: Room, config: ReferenceAreaConfig
-) -> FloatArray:
+def _loading(panorama: Panorama, covariance: FloatArray, room: Room) -> FloatArray:
     """Loadings of a sweep by the shared factors: mount (c), papers (1 + 2 k)."""
     mounted = np.zeros((4, 0))
     if panorama.by_calibration is not None and panorama.calibration is not None:
         mounted = panorama.by_calibration @ root_of(panorama.calibration.covariance)
-    loading = np.hstack([mounted, _by_papers(panorama, covariance, room, config)])
+    loading = np.hstack([mounted, _by_papers(panorama, covariance, room)])
     half = solve_root(root_of(covariance), loading)
     share = float(np.linalg.norm(half, 2) ** 2)
     return np.asarray(loading * np.sqrt(_MOST / max(share, _MOST)))
 
 
-def _by_papers(
-    panorama: Panorama, covariance: FloatArray, room: Room, config: ReferenceAreaConfig
-) -> FloatArray:
+def _by_papers(panorama: Panorama, covariance: FloatArray, room: Room) -> FloatArray:
     """How papers that hang elsewhere move a panorama, (4, 1 + 2 k)."""
     loading = np.zeros((4, 1 + 2 * len(room.anchors)))
     least = least_in_view(room)
@@ -151,7 +144,7 @@ def _by_papers(
     eye = panorama.center_map[None]
     seen = papers_in_view(eye[:, :2], room)
     if seen.sum() >= least:
-        given, by_papers = pose_errors(eye, room, config, panorama.cylinder.fy, seen)
+        given, by_papers = pose_errors(eye, room, panorama.cylinder.fy, seen)
         # A pose that is better known than papers would give it comes from something else.
         ratio = eigh(covariance[_PLAN], given[0], eigvals_only=True)[-1]
         loading[_X_Y_HEADING] = min(1.0, ratio) * by_papers[0]

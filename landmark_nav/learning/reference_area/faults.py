@@ -27,6 +27,7 @@ from landmark_nav.learning.reference_area.edges import outline_blobs, PaperOutli
 from landmark_nav.learning.reference_area.location import MountError, tilt_text
 from landmark_nav.learning.reference_area.model import (
     linearized,
+    MEASURED,
     OF_PAPER,
     PaperPlaces,
     ReferenceAreaConfig,
@@ -154,8 +155,8 @@ class PaperFaults:
 class PaperRecord:
     """Papers in the last sweeps of one room, which are tested together."""
 
-    def __init__(self, room: Room, config: ReferenceAreaConfig) -> None:
-        self._room, self._config = room, config
+    def __init__(self, room: Room) -> None:
+        self._room = room
         self._views: list[PaperView] = []
 
     def __len__(self) -> int:
@@ -177,10 +178,10 @@ class PaperRecord:
 
     def faults(self) -> PaperFaults:
         """Faults of the papers; by the last sweep alone if all together give none."""
-        faults = paper_faults(self._views, self._room, self._config)
+        faults = paper_faults(self._views, self._room)
         if faults.fits or faults.faults or len(self) < 2:
             return faults
-        alone = paper_faults(self._views[-1:], self._room, self._config)
+        alone = paper_faults(self._views[-1:], self._room)
         return alone if alone.faults else faults
 
 
@@ -195,9 +196,7 @@ def _may_be(blobs: PaperBlobs, paper: Paper, room: Room, eye_height_m: float) ->
     return np.asarray((reach < far) & (above > _BELOW_M) & (above < highest))
 
 
-def paper_faults(
-    views: Sequence[PaperView], room: Room, config: ReferenceAreaConfig
-) -> PaperFaults:
+def paper_faults(views: Sequence[PaperView], room: Room) -> PaperFaults:
     """
     Compare papers in one panorama or more, each at an unknown pose, with ``room.yaml``.
 
@@ -206,7 +205,7 @@ def paper_faults(
     if len(room.papers) < LEAST_PAPERS or not views:
         return PaperFaults(True)
     views = views[-_MOST_VIEWS:]
-    trial = _Trial(views, room, config)
+    trial = _Trial(views, room)
     as_given = trial.solve(_Hypothesis(''))
     # Without two papers that fit, another order of colours may still explain the data.
     cost = as_given.cost if as_given else _MISSING * len(views) * len(room.papers)
@@ -300,19 +299,17 @@ def _redrawn(room: Room, x: float, yz: float) -> Room:
 class _Trial:
     """Fits hypotheses to the papers in panoramas."""
 
-    def __init__(
-        self, views: Sequence[PaperView], room: Room, config: ReferenceAreaConfig
-    ) -> None:
-        self._views, self._room, self._config = views, room, config
-        self._places = [list(_places(view, room, config)) for view in views]
+    def __init__(self, views: Sequence[PaperView], room: Room) -> None:
+        self._views, self._room = views, room
+        self._places = [list(_places(view, room)) for view in views]
 
     def solve(self, hypothesis: _Hypothesis) -> _Solution | None:
         """Fit all views, each at its best pose; None if no view shows enough papers."""
         room, places, k = hypothesis.room or self._room, self._places, hypothesis.paper
         if hypothesis.room and k < 0:
-            places = [list(_places(view, room, self._config)) for view in self._views]
+            places = [list(_places(view, room)) for view in self._views]
         elif hypothesis.kind in _OF_MOUNT:
-            wide = replace(self._config, **{_OF_MOUNT[hypothesis.kind]: hypothesis.sigma})
+            wide = replace(MEASURED, **{_OF_MOUNT[hypothesis.kind]: hypothesis.sigma})
             places = [
                 [*each, *_places(view, room, wide)]
                 for view, each in zip(self._views, places, strict=True)
@@ -343,7 +340,7 @@ class _Trial:
     ) -> _Solution:
         """Least squares with priors."""
         model = _Model(views, places, room)
-        prior = model.prior_sigma(self._config)
+        prior = model.prior_sigma()
         free = hypothesis.free(len(views))
         prior[free] = hypothesis.sigma
         start = np.zeros(len(prior))
@@ -374,7 +371,9 @@ class _Trial:
         return _Solution(cost, mean, sigmas[:1].sum(0), redundancy, unseen)
 
 
-def _places(view: PaperView, room: Room, config: ReferenceAreaConfig) -> Iterator[PaperPlace]:
+def _places(
+    view: PaperView, room: Room, config: ReferenceAreaConfig = MEASURED
+) -> Iterator[PaperPlace]:
     """Yield possible poses of a panorama, by all papers and by all but one."""
     seen: set[tuple[int, ...]] = set()
     papers = room.papers
@@ -425,11 +424,11 @@ class _Model:
         self.measured = self._seen.size
         self._eye = np.array([view.eye_height_m for view in views])[self._view]
 
-    def prior_sigma(self, config: ReferenceAreaConfig) -> FloatArray:
+    def prior_sigma(self) -> FloatArray:
         """Prior sigmas (n,) of the state about its start."""
-        tilt, paper = config.horizon_sigma_rad, max(config.paper_sigma_m, 1e-4)
+        tilt, paper = MEASURED.horizon_sigma_rad, MEASURED.paper_sigma_m
         views = np.tile([1e2, 1e2, 1e2, tilt, tilt], self._views)
-        common = [config.height_sigma_m, config.paper_size_sigma, _FOCAL_SIGMA]
+        common = [MEASURED.height_sigma_m, MEASURED.paper_size_sigma, _FOCAL_SIGMA]
         own = [*[paper] * 3, *[_OWN_SIZE_SIGMA] * 3]
         return np.concatenate([views, common, np.tile(own, self._papers)])
 

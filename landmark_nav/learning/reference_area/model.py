@@ -43,6 +43,9 @@ class ReferenceAreaConfig(Config):
     center_sigma_m: float = 0.0
 
 
+# Sigmas of a room and a robot as a person measures them.
+MEASURED = ReferenceAreaConfig()
+
 # Errors of each paper in `PaperPlaces.outlines`: of its place, m, and of its sizes, relative.
 OF_PAPER = ('along', 'height', 'depth', 'width', 'tallness', 'size')
 _NO_ERRORS = np.zeros(len(OF_PAPER))

@@ -16,35 +16,13 @@ from landmark_nav.arrays import BoolArray
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.se2 import rot_z
 from landmark_nav.learning.least_squares import covariance_of, Equations, levenberg_marquardt
-from landmark_nav.parameters import Config
 from landmark_nav.types import FloatArray
 
-
-@dataclass(frozen=True)
-class RelativePoseConfig(Config):
-    """Matching of features between panoramas, and acceptance of a relative pose."""
-
-    # Most features per panorama.
-    features: int = 6000
-    # Greatest distance of a match in descriptor space, relative to that of the next best.
-    max_ratio: float = 0.85
-    # Sigma of the direction of a feature, with the errors of the panorama.
-    direction_sigma_rad: float = 1.5e-3
-    # Sigma of the direction of a feature in a panorama without errors.
-    feature_sigma_rad: float = 5e-4
-    # Sigma of a sweep's tilt, about x and y.
-    tilt_sigma_rad: float = 0.01
-    # Prior sigma of the height of a sweep. With a smaller one, a false tilt replaces a height.
-    rise_sigma_m: float = 0.02
-    # Sigma of the pan zero, which all sweeps share, beyond that of the robot file.
-    heading_sigma_rad: float = 1e-3
-    # Fewest matches that support a relative pose.
-    min_matches: int = 20
-    # Greatest sigma of the heading of a sweep by errors that matches share: half of the greatest
-    # error of a relative heading, 0.4 deg.
-    max_heading_sigma_rad: float = 0.0035
-
-
+# Sigma of the direction of a feature, with the errors of the panorama and without them, rad.
+DIRECTION_SIGMA_RAD, FEATURE_SIGMA_RAD = 1.5e-3, 5e-4
+# Sigma of a sweep's tilt, about x and y, rad; prior sigma of its height, m. With a smaller one, a
+# false tilt replaces a height.
+TILT_SIGMA_RAD, RISE_SIGMA_M = 0.01, 0.02
 # State of a sweep: x, y of the pan axis, heading of the base, height of the viewpoint, tilt about
 # x and y.
 STATE = 6

@@ -17,8 +17,8 @@ from landmark_nav.arrays import Float32Array, IndexArray
 from landmark_nav.geometry.se2 import cross
 from landmark_nav.learning.relative_pose.epipolar import (
     center,
+    DIRECTION_SIGMA_RAD,
     RayPairs,
-    RelativePoseConfig,
     turned,
 )
 from landmark_nav.types import FloatArray, Panorama
@@ -28,7 +28,9 @@ from landmark_nav.types import FloatArray, Panorama
 BAND, WIDE_BAND = 6.0, 12.0
 # Overlap at the seam, and margin to uncovered parts, pixels: the support of a descriptor.
 _SEAM_PX, _MARGIN_PX = 48, 9
-_CONTRAST = 0.01
+_MOST_FEATURES, _CONTRAST = 6000, 0.01
+# Greatest distance of a match in descriptor space, relative to that of the next best.
+_MAX_RATIO = 0.85
 # OpenCV doubles images so that all keypoints are too far to the right and down by this, pixels;
 # its remedy, `enable_precise_upscale`, is not in all versions.
 _DOUBLED_PX = 0.25
@@ -57,14 +59,14 @@ class Features:
         return len(self.rays)
 
 
-def find_features(panorama: Panorama, most: int) -> Features:
+def find_features(panorama: Panorama) -> Features:
     """Find the strongest features of a panorama of a full turn."""
     grey, mask = cv2.cvtColor(panorama.image, cv2.COLOR_BGR2GRAY), panorama.mask
     width = grey.shape[1]
     columns = np.arange(-_SEAM_PX, width + _SEAM_PX) % width
     kernel = np.ones((_MARGIN_PX, _MARGIN_PX), np.uint8)
     inside = cv2.erode(np.ascontiguousarray(mask[:, columns], dtype=np.uint8), kernel)
-    sift = cv2.SIFT_create(nfeatures=most, contrastThreshold=_CONTRAST)  # type: ignore[attr-defined]
+    sift = cv2.SIFT_create(nfeatures=_MOST_FEATURES, contrastThreshold=_CONTRAST)  # type: ignore[attr-defined]
     points, descriptors = sift.detectAndCompute(np.ascontiguousarray(grey[:, columns]), inside)
     if not points:
         return Features(np.empty((0, 3)), np.empty((0, 128), np.float32))
@@ -97,7 +99,7 @@ class LikePairs:
         parts = self.first[which], self.second[which], self.likeness[which]
         return LikePairs(self.rays, self.other_rays, *parts)
 
-    def distinct(self, max_ratio: float) -> tuple[FloatArray, FloatArray]:
+    def distinct(self) -> tuple[FloatArray, FloatArray]:
         """Rays (k, 3) of mutually nearest features by the ratio test, most distinct first."""
         if not len(self.first):
             return np.empty((0, 3)), np.empty((0, 3))
@@ -118,23 +120,22 @@ class LikePairs:
         row = of_row[found]
         ratio = np.sqrt(np.maximum(1.0 - top[row], 0.0) / np.maximum(1.0 - second[row], 1e-9))
         order = np.argsort(ratio, kind='stable')
-        found = found[order[: np.count_nonzero(ratio < max_ratio)]]
+        found = found[order[: np.count_nonzero(ratio < _MAX_RATIO)]]
         return self.rays[self.first[found]], self.other_rays[self.second[found]]
 
 
-def _least_top(config: RelativePoseConfig) -> float:
-    """Likeness below which no match passes the ratio test; rounded down."""
-    # As in `LikePairs.distinct`; all that compete are at least as alike as `_LEAST_LIKENESS`.
-    return 1.0 - config.max_ratio**2 * (1.0 - _LEAST_LIKENESS) - 1e-5
+# Likeness below which no match passes the ratio test of `LikePairs.distinct`, rounded down: all
+# that compete are at least as alike as `_LEAST_LIKENESS`.
+_LEAST_TOP = 1.0 - _MAX_RATIO**2 * (1.0 - _LEAST_LIKENESS) - 1e-5
 
 
-def like_pairs(one: Features, other: Features, config: RelativePoseConfig) -> LikePairs:
+def like_pairs(one: Features, other: Features) -> LikePairs:
     """Compare all features of two panoramas; those of the first that match none are left out."""
     small = np.min_scalar_type(max(len(one), len(other)))
     parts = [(np.empty(0, small), np.empty(0, small), np.empty(0, np.float32))]
     for start in range(0, len(one), _ROWS):
         likeness = one.descriptors[start : start + _ROWS] @ other.descriptors.T
-        rows = np.flatnonzero(likeness.max(1, initial=0.0) > _least_top(config))
+        rows = np.flatnonzero(likeness.max(1, initial=0.0) > _LEAST_TOP)
         likeness = likeness[rows]
         row, second = np.nonzero(likeness > _LEAST_LIKENESS)
         first = (rows[row] + start).astype(small)
@@ -147,7 +148,6 @@ def alike_along(
     other: int,
     states: FloatArray,
     alike: LikePairs,
-    config: RelativePoseConfig,
     band_sigmas: float,
     in_range: bool = False,
 ) -> LikePairs:
@@ -158,7 +158,7 @@ def alike_along(
         for k, rays in ((one, alike.rays), (other, alike.other_rays))
     )
     by_w, by_v = np.cross(v, way), np.cross(way, w)
-    band = band_sigmas * config.direction_sigma_rad
+    band = band_sigmas * DIRECTION_SIGMA_RAD
     length = float(np.hypot(way[0], way[1]))
 
     def near(which: IndexArray) -> IndexArray:
@@ -180,7 +180,7 @@ def alike_along(
 
     # Only features with a possible match there need to be compared with all that compete.
     possible = np.zeros(len(w), bool)
-    possible[alike.first[near(np.flatnonzero(alike.likeness > _least_top(config)))]] = True
+    possible[alike.first[near(np.flatnonzero(alike.likeness > _LEAST_TOP))]] = True
     return alike.chosen(near(np.flatnonzero(possible[alike.first])))
 
 
@@ -189,9 +189,8 @@ def matches_along(
     other: int,
     states: FloatArray,
     alike: LikePairs,
-    config: RelativePoseConfig,
     band_sigmas: float = BAND,
 ) -> RayPairs:
     """Match the features of two views, those that are alike, near their epipolar curves."""
-    near = alike_along(one, other, states, alike, config, band_sigmas, in_range=True)
-    return RayPairs(one, other, *near.distinct(config.max_ratio))
+    near = alike_along(one, other, states, alike, band_sigmas, in_range=True)
+    return RayPairs(one, other, *near.distinct())

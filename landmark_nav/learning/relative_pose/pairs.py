@@ -12,7 +12,6 @@ from itertools import combinations
 
 import numpy as np
 
-from landmark_nav.learning.relative_pose.epipolar import RelativePoseConfig
 from landmark_nav.learning.relative_pose.features import Features, like_pairs
 from landmark_nav.types import FloatArray
 
@@ -24,9 +23,7 @@ _PARTNERS, _STRONGEST = 3, 1500
 _DEPENDENT = 1e-6
 
 
-def by_likeness(
-    features: Sequence[Features], config: RelativePoseConfig
-) -> tuple[list[Pair], set[Pair]]:
+def by_likeness(features: Sequence[Features]) -> tuple[list[Pair], set[Pair]]:
     """Return all pairs, those that show most alike first, and those of similar panoramas."""
     count = len(features)
     pairs = list(combinations(range(count), 2))
@@ -35,7 +32,7 @@ def by_likeness(
     strong = [Features(f.rays[:_STRONGEST], f.descriptors[:_STRONGEST]) for f in features]
     alike = np.full((count, count), -1)
     for i, j in pairs:
-        matches = like_pairs(strong[i], strong[j], config).distinct(config.max_ratio)[0]
+        matches = like_pairs(strong[i], strong[j]).distinct()[0]
         alike[i, j] = alike[j, i] = len(matches)
     best = np.argsort(-alike, 1, kind='stable')[:, :_PARTNERS]
     partners = {(min(k, int(j)), max(k, int(j))) for k, row in enumerate(best) for j in row}

@@ -19,14 +19,17 @@ import numpy as np
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.learning.least_squares import covariance_of, solve_positive
 from landmark_nav.learning.relative_pose.epipolar import (
+    DIRECTION_SIGMA_RAD,
     EpipolarFit,
+    FEATURE_SIGMA_RAD,
     fit_poses,
     misses,
     RayPairs,
-    RelativePoseConfig,
     residuals,
+    RISE_SIGMA_M,
     STATE,
     TAIL,
+    TILT_SIGMA_RAD,
 )
 from landmark_nav.learning.relative_pose.features import (
     alike_along,
@@ -59,6 +62,7 @@ from landmark_nav.learning.relative_pose.two_views import (
     along_curves,
     BY_CHANCE,
     hypotheses,
+    MIN_MATCHES,
     states_of,
     turn_support,
     two_views_of,
@@ -84,6 +88,9 @@ _UNKNOWN_SIGMA = (10.0, 10.0, 3.0)
 _ROUNDS = 3
 # Least error of a heading by things that moved that is reported.
 _WORTH_REPORTING_RAD = 1e-3
+# Greatest sigma of the heading of a sweep by errors that matches share: half of the greatest error
+# of a relative heading, 0.4 deg.
+_MAX_HEADING_SIGMA_RAD = 0.0035
 _MAD_TO_SIGMA = 1.4826
 
 
@@ -118,7 +125,7 @@ class RelativePoses:
     wave_sigma_rad: float
     shared_errors: FloatArray
 
-    def check_headings(self, config: RelativePoseConfig) -> None:
+    def check_headings(self) -> None:
         """
         Report that errors of headings may be large.
 
@@ -126,7 +133,7 @@ class RelativePoses:
         """
         turns = np.linalg.norm(self.shared_errors[2::STATE], axis=1)
         worst, sigma = int(np.argmax(turns)) + 1, float(np.degrees(turns.max()))
-        if turns.max() > config.max_heading_sigma_rad:
+        if turns.max() > _MAX_HEADING_SIGMA_RAD:
             raise LandmarkNavError(
                 f'panoramas leave the heading of sweep {worst} uncertain by {sigma:.1f} deg '
                 '(sigma): take a sweep between it and the others that sees more sides of the room'
@@ -144,7 +151,6 @@ def relative_poses(
     features: Sequence[Features],
     known: Sequence[PlaceChain],
     lever: FloatArray,
-    config: RelativePoseConfig,
     sheets: Sequence[Sequence[SheetView]] = (),
     before: RelativePoses | None = None,
 ) -> RelativePoses:
@@ -168,13 +174,11 @@ def relative_poses(
         Poses found before the panoramas were levelled by them.
     """
     if before is None:
-        start, pairs = _found(features, known, lever, config, sheets)
+        start, pairs = _found(features, known, lever, sheets)
     else:
         start = before.states * np.array([1.0, 1.0, 1.0, 1.0, 0.0, 0.0])
-        pairs = {
-            (p.one, p.other): _alike(p.one, p.other, features, start, config) for p in before.pairs
-        }
-    fit, sources, pairs_along, shared_errors = _fitted(start, pairs, known, sheets, config)
+        pairs = {(p.one, p.other): _alike(p.one, p.other, features, start) for p in before.pairs}
+    fit, sources, pairs_along, shared_errors = _fitted(start, pairs, known, sheets)
     shares = tuple(source.share(fit.states, shared_errors) for source in sources)
     # Given poses are not left out: they define the frame.
     if (odd := odd_source(shares)) and odd != 'sweep/pose':
@@ -183,26 +187,24 @@ def relative_poses(
         _LOG.warning('%s; %s is not used', contradiction(wrong, right), odd)
         known = [chain for chain in known if chain.source != odd]
         sheets = [[sheet for sheet in views if sheet.kind != odd] for views in sheets]
-        fit, sources, pairs_along, shared_errors = _fitted(start, pairs, known, sheets, config)
+        fit, sources, pairs_along, shared_errors = _fitted(start, pairs, known, sheets)
         shares = tuple(source.share(fit.states, shared_errors) for source in sources)
     return RelativePoses(
         fit.states,
-        _known_covariance(fit.states, sources, config),
+        _known_covariance(fit.states, sources),
         tuple(p.chosen(which) for p, which in zip(pairs_along, fit.agrees, strict=True)),
         shares,
         scale_sigma(shares),
-        _wave_sigma(fit.states, pairs_along, config),
+        _wave_sigma(fit.states, pairs_along),
         shared_errors,
     )
 
 
-def _wave_sigma(
-    states: FloatArray, pairs: Sequence[RayPairs], config: RelativePoseConfig
-) -> float:
+def _wave_sigma(states: FloatArray, pairs: Sequence[RayPairs]) -> float:
     """Sigma of the residuals of matches beyond the noise of features."""
-    off = [residuals(states, p, config.direction_sigma_rad)[0] for p in pairs]
+    off = [residuals(states, p, DIRECTION_SIGMA_RAD)[0] for p in pairs]
     seen = _MAD_TO_SIGMA * float(np.median(np.abs(np.concatenate(off))))
-    variance = (seen * config.direction_sigma_rad) ** 2 - config.feature_sigma_rad**2
+    variance = (seen * DIRECTION_SIGMA_RAD) ** 2 - FEATURE_SIGMA_RAD**2
     return float(np.sqrt(max(variance, 0.0)))
 
 
@@ -210,7 +212,6 @@ def _found(
     features: Sequence[Features],
     known: Sequence[PlaceChain],
     lever: FloatArray,
-    config: RelativePoseConfig,
     sheets: Sequence[Sequence[SheetView]],
 ) -> tuple[FloatArray, dict[Pair, LikePairs]]:
     """Initial states (v, 6) by matches of pairs of panoramas, and the pairs that share enough."""
@@ -218,20 +219,20 @@ def _found(
     ambiguous: dict[Pair, list[TwoViews]] = {}
     kept: dict[Pair, LikePairs] = {}
     alone = list[Pair]()
-    pairs, partners = by_likeness(features, config)
+    pairs, partners = by_likeness(features)
     known_ways = Directions(len(features))
     for i, j in pairs:
         if (i, j) not in partners and not known_ways.lack((i, j)):
             continue
-        alike = like_pairs(features[i], features[j], config)
-        rays = RayPairs(i, j, *alike.distinct(config.max_ratio))
-        ranked = hypotheses(rays, config)
-        turn = turn_support(rays, config.direction_sigma_rad)
+        alike = like_pairs(features[i], features[j])
+        rays = RayPairs(i, j, *alike.distinct())
+        ranked = hypotheses(rays)
+        turn = turn_support(rays, DIRECTION_SIGMA_RAD)
         agreed = ranked[0].support if ranked else 0
-        if turn >= max(config.min_matches, _NO_BASELINE * agreed):
+        if turn >= max(MIN_MATCHES, _NO_BASELINE * agreed):
             alone.append((i, j))
             continue
-        ranked = along_curves(ranked, alike, config)
+        ranked = along_curves(ranked, alike)
         if not ranked or ranked[0].evidence < BY_CHANCE + np.log(_ODDS_OF_CHANCE):
             continue
         best = ranked[0].evidence
@@ -240,7 +241,7 @@ def _found(
         if len(rivals) == 1:
             found[i, j] = rivals[0]
             known_ways.add((i, j))
-            kept[i, j] = alike_along(0, 1, states_of(rivals[0]), alike, config, _KEPT_BAND)
+            kept[i, j] = alike_along(0, 1, states_of(rivals[0]), alike, _KEPT_BAND)
         else:
             ambiguous[i, j] = rivals
     lengths: dict[Pair, Length] = {}
@@ -257,16 +258,14 @@ def _found(
     first[3] = lever[2]
     states = placed(len(features), found, ambiguous, alone, lengths, first)
     for i, j in ambiguous:
-        kept[i, j] = _alike(i, j, features, states, config)
+        kept[i, j] = _alike(i, j, features, states)
     return states, kept
 
 
-def _alike(
-    i: int, j: int, features: Sequence[Features], states: FloatArray, config: RelativePoseConfig
-) -> LikePairs:
+def _alike(i: int, j: int, features: Sequence[Features], states: FloatArray) -> LikePairs:
     """Pairs of features that may be matches by the states; all of them take much memory."""
-    alike = like_pairs(features[i], features[j], config)
-    return alike_along(i, j, states, alike, config, _KEPT_BAND)
+    alike = like_pairs(features[i], features[j])
+    return alike_along(i, j, states, alike, _KEPT_BAND)
 
 
 def _fitted(
@@ -274,19 +273,18 @@ def _fitted(
     matched: Mapping[Pair, LikePairs],
     known: Sequence[PlaceChain],
     sheets: Sequence[Sequence[SheetView]],
-    config: RelativePoseConfig,
 ) -> tuple[EpipolarFit, list[Source], list[RayPairs], FloatArray]:
     """Fit to all matches and sources of the scale; the last are shared errors (6 v, q)."""
     prior = np.zeros_like(start)
     prior[0, :3], prior[:, 3] = start[0, :3], start[0, 3]
-    covariance, states = _prior_covariance(len(start), config), start
+    covariance, states = _prior_covariance(len(start)), start
     places = [PlaceSource(chain) for chain in known]
     # Before the first fit, too: wrong poses would move the panoramas to matches that fit them.
     for place in places:
         place.inflate(states)
     fitted = partial(fit_poses, prior=prior, prior_covariance=covariance)
     rigid: list[RigidSet] = []
-    precise = config.feature_sigma_rad
+    precise = FEATURE_SIGMA_RAD
     for number in range(_ROUNDS):
         # Also pairs whose features were not compared may show a sheet.
         every = list(combinations(range(len(states)), 2))
@@ -304,23 +302,21 @@ def _fitted(
                 'nothing gives the scale: no two sweeps show a sheet of the size given at one '
                 'place: hang more of them where several sweeps see them, or record odom'
             )
-        pairs = [matches_along(*p, states, alike, config) for p, alike in matched.items()]
+        pairs = [matches_along(*p, states, alike) for p, alike in matched.items()]
         others = stacked(sources)
         if number:
             fit = fitted(states, pairs, precise, others=others, first_width=TAIL)
         else:
-            states = fitted(states, pairs, config.direction_sigma_rad, others=others).states
-            wide = [
-                matches_along(*p, states, alike, config, WIDE_BAND) for p, alike in matched.items()
-            ]
-            rigid = [rigid_set(states, p, config) for p in wide]
+            states = fitted(states, pairs, DIRECTION_SIGMA_RAD, others=others).states
+            wide = [matches_along(*p, states, alike, WIDE_BAND) for p, alike in matched.items()]
+            rigid = [rigid_set(states, p) for p in wide]
             precise = max(k.sigma_rad for k in rigid)
             pairs = [p.chosen(k.agrees) for p, k in zip(wide, rigid, strict=True)]
             fit = fitted(states, pairs, precise, others=others)
         states = fit.states
     for source in sources:
         source.inflate(states)
-    return fit, sources, pairs, _shared_errors(fit, pairs, rigid, sources, precise, config)
+    return fit, sources, pairs, _shared_errors(fit, pairs, rigid, sources, precise)
 
 
 def _shared_errors(
@@ -329,13 +325,12 @@ def _shared_errors(
     rigid: Sequence[RigidSet],
     sources: Sequence[Source],
     sigma_rad: float,
-    config: RelativePoseConfig,
 ) -> FloatArray:
     """Errors (6 v, q) of all states by those of pairs, which share the sections of the room."""
     size = fit.states.size
     # Panoramas show no scale: without its sources it would be unknown.
     _, known = stacked(sources)(fit.states)
-    information = solve_positive(_prior_covariance(len(fit.states), config), np.eye(size))
+    information = solve_positive(_prior_covariance(len(fit.states)), np.eye(size))
     information += known.T @ known
     pull = np.zeros((size, rigid[0].loading.shape[1]))
     for p, agrees, found in zip(pairs, fit.agrees, rigid, strict=True):
@@ -349,20 +344,18 @@ def _shared_errors(
     return np.asarray(solve_positive(information, pull))
 
 
-def _prior_covariance(count: int, config: RelativePoseConfig) -> FloatArray:
+def _prior_covariance(count: int) -> FloatArray:
     """Prior covariance (6 v, 6 v) of the states."""
-    rise, tilt = config.rise_sigma_m, config.tilt_sigma_rad
+    rise, tilt = RISE_SIGMA_M, TILT_SIGMA_RAD
     sigma = np.tile([*_UNKNOWN_SIGMA, rise, tilt, tilt], (count, 1))
     sigma[0, :4] = _FIXED_SIGMA
     return np.diag(sigma.ravel() ** 2)
 
 
-def _known_covariance(
-    states: FloatArray, sources: Sequence[Source], config: RelativePoseConfig
-) -> FloatArray:
+def _known_covariance(states: FloatArray, sources: Sequence[Source]) -> FloatArray:
     """Covariance (3 v, 3 v) of x, y, heading by the sources alone."""
     count = len(states)
     _, jacobian = stacked(sources)(states)
-    information = jacobian.T @ jacobian + np.linalg.inv(_prior_covariance(count, config))
+    information = jacobian.T @ jacobian + np.linalg.inv(_prior_covariance(count))
     joint = covariance_of(information).reshape(count, STATE, count, STATE)
     return np.asarray(joint[:, :3, :, :3].reshape(3 * count, 3 * count))

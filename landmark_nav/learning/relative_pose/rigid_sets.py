@@ -21,10 +21,13 @@ from landmark_nav.arrays import BoolArray
 from landmark_nav.geometry.se2 import cross
 from landmark_nav.learning.least_squares import solve_positive
 from landmark_nav.learning.relative_pose.epipolar import (
+    DIRECTION_SIGMA_RAD,
+    FEATURE_SIGMA_RAD,
     misses,
     RayPairs,
-    RelativePoseConfig,
     residuals,
+    RISE_SIGMA_M,
+    TILT_SIGMA_RAD,
     turned,
 )
 from landmark_nav.learning.relative_pose.features import WIDE_BAND
@@ -62,7 +65,7 @@ class RigidSet:
     sigma_rad: float
 
 
-def rigid_set(states: FloatArray, pairs: RayPairs, config: RelativePoseConfig) -> RigidSet:
+def rigid_set(states: FloatArray, pairs: RayPairs) -> RigidSet:
     """
     Find the pose of the second view that matches support most.
 
@@ -73,11 +76,11 @@ def rigid_set(states: FloatArray, pairs: RayPairs, config: RelativePoseConfig) -
     pairs : RayPairs
         Matches; there may be none.
     """
-    rng, search = np.random.default_rng(0), _Search(states, pairs, config)
+    rng, search = np.random.default_rng(0), _Search(states, pairs)
     every = np.ones(len(pairs.rays))
     tried = search.samples(rng)
     step = 1 + len(pairs.rays) // _SCREENED
-    screen = _Search(states, pairs.chosen(np.arange(len(pairs.rays)) % step == 0), config)
+    screen = _Search(states, pairs.chosen(np.arange(len(pairs.rays)) % step == 0))
     support = np.array([screen.gains(state, _SHARE).sum() for state in tried])
     first = np.argsort(-support, kind='stable')[:_REFINED]
     found = [search.refined(state, _SHARE, every) for state in tried[first]]
@@ -94,7 +97,7 @@ def rigid_set(states: FloatArray, pairs: RayPairs, config: RelativePoseConfig) -
         changes.append(search.refined(*likeliest, weight)[0] - best)
     off, _, inlier = search.inliers(best, share)
     inlier = inlier.sum(axis=1)
-    variance = (inlier @ off**2 + config.direction_sigma_rad**2) / (inlier.sum() + 1.0)
+    variance = (inlier @ off**2 + DIRECTION_SIGMA_RAD**2) / (inlier.sum() + 1.0)
     loading = np.array(changes).T / np.sqrt(_DRAWS)
     return RigidSet(best, inlier > 0.5, loading, float(np.sqrt(variance)))
 
@@ -114,14 +117,14 @@ def _azimuths(states: FloatArray, pairs: RayPairs) -> FloatArray:
 class _Search:
     """States of the second view of a pair, and their likelihood."""
 
-    def __init__(self, states: FloatArray, pairs: RayPairs, config: RelativePoseConfig) -> None:
+    def __init__(self, states: FloatArray, pairs: RayPairs) -> None:
         self._pair = states[[pairs.one, pairs.other]]
         self._pairs = RayPairs(0, 1, pairs.rays, pairs.other_rays)
-        self._noise_rad = config.direction_sigma_rad
-        self._sigmas = np.geomspace(config.feature_sigma_rad, self._noise_rad, _SIGMAS)
+        self._noise_rad = DIRECTION_SIGMA_RAD
+        self._sigmas = np.geomspace(FEATURE_SIGMA_RAD, self._noise_rad, _SIGMAS)
         length = float(np.hypot(*(self._pair[1] - self._pair[0])[:2]))
-        tilt = np.sqrt(2.0) * config.tilt_sigma_rad
-        sigma = [_AROUND * length] * 2 + [_AROUND, config.rise_sigma_m, tilt, tilt]
+        tilt = np.sqrt(2.0) * TILT_SIGMA_RAD
+        sigma = [_AROUND * length] * 2 + [_AROUND, RISE_SIGMA_M, tilt, tilt]
         self._information = np.diag(np.array(sigma) ** -2.0)
         self._prior = np.array([*self._pair[1, :3], self._pair[0, 3], 0.0, 0.0])
 

@@ -16,17 +16,21 @@ from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.se2 import rotation
 from landmark_nav.learning.relative_pose.epipolar import (
     center,
+    DIRECTION_SIGMA_RAD,
     evidence,
     fit_poses,
     RayPairs,
-    RelativePoseConfig,
     residuals,
+    RISE_SIGMA_M,
     STATE,
+    TILT_SIGMA_RAD,
     turned,
 )
 from landmark_nav.learning.relative_pose.features import BAND, LikePairs, matches_along
 from landmark_nav.types import FloatArray
 
+# Fewest matches that support a relative pose.
+MIN_MATCHES = 20
 # Grid of headings and directions that is tried, and how far off a match then may be.
 _GRID, _TOLERANCE = 120, 0.02
 # The most distinct matches are tried; so many of the best places are refined.
@@ -81,9 +85,9 @@ def states_of(pose: TwoViews) -> FloatArray:
     return states
 
 
-def hypotheses(pairs: RayPairs, config: RelativePoseConfig) -> list[TwoViews]:
+def hypotheses(pairs: RayPairs) -> list[TwoViews]:
     """Relative poses supported by matches, which come most distinct first; the best pose first."""
-    if len(pairs.rays) < config.min_matches:
+    if len(pairs.rays) < MIN_MATCHES:
         return []
     angles = 2.0 * np.pi * np.arange(_GRID) / _GRID
     votes = _votes(pairs, angles)
@@ -94,15 +98,13 @@ def hypotheses(pairs: RayPairs, config: RelativePoseConfig) -> list[TwoViews]:
             break
         around = (np.arange(-2, 3) + heading) % _GRID, (np.arange(-2, 3) + direction) % _GRID
         votes[np.ix_(*around)] = 0.0
-        refined = _refined(pairs, angles[heading], angles[direction], config)
+        refined = _refined(pairs, angles[heading], angles[direction])
         if not any(_same(refined, other) for other in found):
             found.append(refined)
     return sorted(found, key=lambda pose: -pose.support)
 
 
-def along_curves(
-    poses: Sequence[TwoViews], alike: LikePairs, config: RelativePoseConfig
-) -> list[TwoViews]:
+def along_curves(poses: Sequence[TwoViews], alike: LikePairs) -> list[TwoViews]:
     """
     Refine relative poses with all matches near their epipolar curves; that of most evidence first.
 
@@ -110,8 +112,8 @@ def along_curves(
     """
     refined = []
     for pose in poses:
-        pairs = matches_along(0, 1, states_of(pose), alike, config)
-        refined.append(_refined(pairs, pose.heading_rad, pose.direction_rad, config))
+        pairs = matches_along(0, 1, states_of(pose), alike)
+        refined.append(_refined(pairs, pose.heading_rad, pose.direction_rad))
     refined.sort(key=lambda pose: -pose.evidence)
     return [p for k, p in enumerate(refined) if not any(_same(p, o) for o in refined[:k])]
 
@@ -150,23 +152,21 @@ def _votes(pairs: RayPairs, angles: FloatArray) -> FloatArray:
     return votes
 
 
-def _refined(
-    pairs: RayPairs, heading: float, direction: float, config: RelativePoseConfig
-) -> TwoViews:
+def _refined(pairs: RayPairs, heading: float, direction: float) -> TwoViews:
     prior = np.zeros((2, STATE))
     prior[1, :3] = np.cos(direction), np.sin(direction), heading
-    rise, tilt = config.rise_sigma_m, config.tilt_sigma_rad
+    rise, tilt = RISE_SIGMA_M, TILT_SIGMA_RAD
     sigma = np.array([[1e-6] * STATE, [1.0, 1.0, 10.0, rise, tilt, tilt]]).ravel()
     pairs = RayPairs(0, 1, pairs.rays, pairs.other_rays)
     fit = fit_poses(
         prior,
         [pairs],
-        config.direction_sigma_rad,
+        DIRECTION_SIGMA_RAD,
         prior,
         np.diag(sigma**2),
     )
     found = two_views_of(fit.states, 0, 1)
-    off, before = residuals(fit.states, pairs, config.direction_sigma_rad)
+    off, before = residuals(fit.states, pairs, DIRECTION_SIGMA_RAD)
     near = off[before & (np.abs(off) < BAND)]
     unlikely = 0.5 * float(np.sum(((fit.states[1, 3:] - prior[1, 3:]) / sigma[STATE + 3 :]) ** 2))
     return replace(
