@@ -51,53 +51,22 @@ def full_turn(count=24):
     return -np.pi + 2 * np.pi / count * np.arange(count)
 
 
-def write_drive(
-    path,
-    *,
-    frames=10,
-    damaged=(),
-    info=True,
-    bad=lambda topic, k: False,
-    late_joints=False,
-    set_back=lambda k: 0,
-    lone_tilt=None,
-):
-    """
-    Pan turns at 0.3 rad/s; joint states at 20 Hz, images at 5 Hz between two of them.
-
-    `bad` gives which messages hold no number, `set_back` by how much the clock is behind,
-    `lone_tilt` the tilt, where it has messages of its own, 10 ms before those of the pan.
-    """
+def write_drive(path):
+    """Pan turns at 0.3 rad/s; joint states at 20 Hz, images at 5 Hz between two of them."""
     with BagWriter(path) as bag:
-        for k in range(frames * 4):
-            log = START + k * 50_000_000
-            stamp = log - set_back(k)
-            x = np.nan if bad('odom', k) else 0.01 * k
-            bag.write('odom', odometry(stamp, [x, 0.0, 0.0]), log)
-            joints_stamp = stamp + (9 * SECOND if late_joints else 0)
-            pan = np.nan if bad('joint_states', k) else 0.3 * k * 0.05
-            sample = JointSample(joints_stamp, pan)
-            joints = encode.joint_state(FACTORY, sample, MOUNT)
-            if lone_tilt is not None:
-                before = stamp - 10_000_000
-                tilted = JointSample(before, 0.0, lone_tilt(k - 0.2))
-                alone = encode.joint_state(FACTORY, tilted, MOUNT)
-                alone.name, alone.position = alone.name[1:], alone.position[1:]
-                bag.write('joint_states', alone, log - 10_000_000)
-                joints.name, joints.position = joints.name[:1], joints.position[:1]
-            bag.write('joint_states', joints, log)
-            bag.write('ground_truth/odom', odometry(stamp, [1.0, 2.0, 0.0], frame_id='map'), log)
+        for k in range(40):
+            stamp = START + k * 50_000_000
+            bag.write('odom', odometry(stamp, [0.01 * k, 0.0, 0.0]), stamp)
+            joints = JointSample(stamp, 0.3 * k * 0.05)
+            bag.write('joint_states', encode.joint_state(FACTORY, joints, MOUNT), stamp)
+            truth = odometry(stamp, [1.0, 2.0, 0.0], frame_id='map')
+            bag.write('ground_truth/odom', truth, stamp)
             if k % 4 == 0:
-                shot, log = stamp + 20_000_000, log + 20_000_000
-                message = encode.compressed_image(FACTORY, camera_image(k), shot, 'cam')
-                if k // 4 in damaged:
-                    message.data = message.data[:30]
-                bag.write('camera/image_raw/compressed', message, log)
-                if info:
-                    calibration = encode.camera_info(FACTORY, CAMERA, shot, 'cam')
-                    if bad('camera/camera_info', k):
-                        calibration.k[:] = np.nan
-                    bag.write('camera/camera_info', calibration, log)
+                shot = stamp + 20_000_000
+                image = encode.compressed_image(FACTORY, camera_image(k), shot, 'cam')
+                bag.write('camera/image_raw/compressed', image, shot)
+                info = encode.camera_info(FACTORY, CAMERA, shot, 'cam')
+                bag.write('camera/camera_info', info, shot)
     return path
 
 
