@@ -35,22 +35,22 @@ install: .venv/installed
 demo: install
 	$(BIN)/landmark-nav demo --out demo --overwrite
 
-test: lint test-offline test-nodes
+# Three processes on two cores, as tests of nodes wait most of their time; the longest files first.
+test: lint
+	$(BIN)/pytest -q -n 3 --dist loadfile --no-loadscope-reorder test/nodes/test_demo.py \
+		test/nodes/test_replay_nodes.py test/system test/nodes test/fuzz test/unit
 
 lint: install
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy landmark_nav
 
-# The longest files first, so that both processes have work until the end.
 test-offline: install
 	$(BIN)/pytest -q -n 2 --dist loadfile --no-loadscope-reorder test/system test/fuzz test/unit
 
-# These start nodes as processes of their own, each test in a ROS domain of its own. The demo runs
-# in real time, so it gets the machine to itself.
-test-nodes: install test-offline
-	$(BIN)/pytest -q test/nodes/test_demo.py
-	$(BIN)/pytest -q -n 2 --dist loadfile --no-loadscope-reorder --ignore test/nodes/test_demo.py test/nodes
+# These start nodes as processes of their own, each test in a ROS domain of its own.
+test-nodes: install
+	$(BIN)/pytest -q -n 2 --dist loadfile --no-loadscope-reorder test/nodes/test_demo.py test/nodes
 
 bench: install
 	$(BIN)/landmark-nav bench

@@ -132,7 +132,7 @@ def hosts():
 
 
 @pytest.fixture(scope='module')
-def setup(tmp_path_factory):
+def setup(undrawn, tmp_path_factory):
     """
     Folder with `robot.yaml`, `room.yaml` and a map of the very room that is driven in.
 
