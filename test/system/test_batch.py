@@ -3,6 +3,7 @@
 import csv
 import json
 import os
+from pathlib import Path
 import subprocess
 import sys
 import time
@@ -12,12 +13,14 @@ import pytest
 pytest.importorskip('distributed', reason='the extra batch is not installed')
 
 DASK = [sys.executable, '-m', 'dask']
-JOBS = """
+SETUPS = Path(__file__).resolve().parents[1] / 'setups'
+SMALL = f'camera: {SETUPS}/camera_quarter_vga.yaml, room: {SETUPS}/room_small.yaml'
+JOBS = f"""
 runs:
   - name: room
-    simulate: {frames: 8, sweeps: 1, drive-seconds: 0.5}
+    simulate: {{frames: 8, sweeps: 1, drive-seconds: 0.5, {SMALL}}}
   - name: no robot
-    simulate: {robot: jobs.yaml}
+    simulate: {{robot: jobs.yaml}}
 grid:
   simulate.seed: [1, 2]
 """
