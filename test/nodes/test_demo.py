@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 
+from harness import SETUPS
 import pytest
 
 from landmark_nav.demo.scenario import RECORDED_TOPICS
@@ -34,10 +35,9 @@ demo.node_commands = functools.partial(
 )
 sys.exit(main.main())
 """
-CAMERA = Path(__file__).resolve().parents[1] / 'setups' / 'camera_quarter_vga.yaml'
 SHORT = f"""/**:
   ros__parameters:
-    camera_file: {CAMERA}
+    camera_file: {SETUPS / 'camera_quarter_vga.yaml'}
     capture: {{frames: 16, step_rad: 0.3926991}}
     attention: {{candidates: 60}}
 """

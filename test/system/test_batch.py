@@ -3,17 +3,16 @@
 import csv
 import json
 import os
-from pathlib import Path
 import subprocess
 import sys
 import time
 
+from harness import SETUPS
 import pytest
 
 pytest.importorskip('distributed', reason='the extra batch is not installed')
 
 DASK = [sys.executable, '-m', 'dask']
-SETUPS = Path(__file__).resolve().parents[1] / 'setups'
 SMALL = f'camera: {SETUPS}/camera_quarter_vga.yaml, room: {SETUPS}/room_small.yaml'
 JOBS = f"""
 runs:

@@ -7,7 +7,7 @@ import re
 import cv2
 from drive_faults import recorded as sent
 from drive_faults import rewritten, write_bag
-from harness import BAGS, start_of
+from harness import BAGS, command, start_of
 from message_changes import at_origin, driven, moved
 import numpy as np
 import pytest
@@ -131,7 +131,7 @@ def test_truth_in_another_frame_or_unit_is_named(
     half = write_bag(tmp_path / 'half', (one for one in sent(BAGS / 'drive') if one[2] < half_ns))
     bag = rewritten(half, tmp_path / 'truth', ('ground_truth/odom',), change)
     report = tmp_path / 'report.json'
-    assert main([str(a) for a in [*evaluate(bag, recorded / 'map'), '--json', report]]) == 0
+    command(*evaluate(bag, recorded / 'map'), '--json', report)
     said = ' '.join(line.getMessage() for line in caplog.records)
     assert bool(re.search('ground_truth.* frame', said)) == bool(reported)
     assert re.search(reported, said)
@@ -148,8 +148,8 @@ def test_sweeps_show_what_camera_info_and_robot_yaml_are_off_by(few, tmp_path):
     bag = rewritten(BAGS / 'learn', tmp_path / 'misread', ('sweep/camera_info',), misread)
     robot, out = tmp_path / 'robot.yaml', tmp_path / 'learn.json'
     robot.write_text('pan_axis: {xyz: [0.08, 0, 1.1]}\noptical_center_offset: [0, -0.02, 0]\n')
-    arguments = ['learn', bag, '--room', ROOM, '--robot', robot, '--out', tmp_path / 'map']
-    assert main([str(word) for word in [*arguments, *few, '--json', out]]) == 0
+    files = ('--room', ROOM, '--robot', robot, '--out', tmp_path / 'map', '--json', out)
+    command('learn', bag, *files, *few)
     sweeps = json.loads(out.read_text())['sweeps']
     assert max(sweep['error_position_m'] for sweep in sweeps) < 0.005
 

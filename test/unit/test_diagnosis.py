@@ -2,11 +2,11 @@
 
 from dataclasses import replace
 import json
-from pathlib import Path
 import re
 
 import cv2
 from drive_faults import rewritten
+from harness import BAGS
 from message_changes import each_second, no_number, nothing
 import numpy as np
 import pytest
@@ -47,7 +47,6 @@ from landmark_nav.storage.robot_files import load_calibration, load_robot
 from landmark_nav.storage.setup_files import load_room
 from landmark_nav.types import OdometrySample
 
-BAGS = Path(__file__).resolve().parents[2] / 'bags'
 CAMERA = CameraModel(320, 240, 300.0, 300.0, 159.5, 119.5)
 
 

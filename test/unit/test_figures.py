@@ -2,10 +2,10 @@
 
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 from builders import bare_landmark, detections_of, panorama_of
 import cv2
+from harness import BAGS
 import numpy as np
 import pytest
 from scenes import rectangle_room
@@ -86,9 +86,6 @@ def test_runs_are_drawn_whatever_is_missing(tmp_path, truth, fixed, recwarn):
     assert share_of(tmp_path / 'trajectory.png', LANDMARK_BGR) > 0.0
     assert cv2.imread(str(tmp_path / 'errors.png')) is not None
     assert [str(warning.message) for warning in recwarn] == []
-
-
-BAGS = Path(__file__).parents[2] / 'bags'
 
 
 def test_two_rays_scatter_as_predicted():
