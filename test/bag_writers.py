@@ -1,14 +1,17 @@
-"""Small bags: sweeps and drives of a camera that sees grey levels."""
+"""Small bags: sweeps and drives of a camera that sees grey levels, in any format."""
 
 from contextlib import contextmanager
 
 from mcap.writer import Writer as RawWriter
 import numpy as np
+from rosbags.rosbag1 import Writer as Ros1Writer
+from rosbags.rosbag2 import CompressionFormat, StoragePlugin, Writer
+from rosbags.typesys import get_typestore, Stores
 
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.messages import encode
-from landmark_nav.messages.factory import rosbag_factory
-from landmark_nav.storage.bags import BagWriter
+from landmark_nav.messages.factory import default_typestore, rosbag_factory
+from landmark_nav.storage.bags import Bag, BagWriter
 from landmark_nav.types import JointSample, OdometrySample
 
 FACTORY = rosbag_factory()
@@ -84,3 +87,36 @@ def foreign_bag(path, **options):
 
         yield add
         writer.finish()
+
+
+ROS1, ROS2 = get_typestore(Stores.ROS1_NOETIC), default_typestore()
+
+
+def _copied(source, writer, store, data_of=lambda entry: entry.data):
+    """Write all messages of a bag by another writer."""
+    connections = {}
+    with writer:
+        for entry in Bag(source).messages():
+            if entry.topic not in connections:
+                connections[entry.topic] = writer.add_connection(
+                    entry.topic, entry.type_name, typestore=store
+                )
+            writer.write(connections[entry.topic], entry.stamp_ns, data_of(entry))
+
+
+def rosbag2_bag(source, path, mode=None, storage=StoragePlugin.SQLITE3):
+    """rosbag2, perhaps compressed by rosbag2 itself."""
+    writer = Writer(path, version=9, storage_plugin=storage)
+    if mode is not None:
+        writer.set_compression(mode, CompressionFormat.ZSTD)
+    _copied(source, writer, ROS2)
+    return path
+
+
+def ros1_bag(source, path, compression=None):
+    """A ROS 1 bag."""
+    writer = Ros1Writer(path)
+    if compression is not None:
+        writer.set_compression(compression)
+    _copied(source, writer, ROS1, lambda entry: ROS2.cdr_to_ros1(entry.data, entry.type_name))
+    return path
