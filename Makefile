@@ -19,7 +19,7 @@ BIN = .venv/bin
 PACKAGED = setup.py setup.cfg pyproject.toml package.xml \
 	$(shell find landmark_nav config resource -type f -not -name '*.pyc' -not -name '.*')
 
-.PHONY: install demo test test-all test-offline test-nodes lint bench ablation rooms variety landmarks alternatives cameras unmeasured \
+.PHONY: install demo test test-offline test-nodes lint bench ablation rooms variety landmarks alternatives cameras unmeasured \
 	latency papers bad-sweeps degraded faults calibration fuzz docs docs-images test-oldest test-colcon clean
 
 install: .venv/installed
@@ -35,25 +35,23 @@ install: .venv/installed
 demo: install
 	$(BIN)/landmark-nav demo --out demo --overwrite
 
+# Tests of nodes by themselves, as some run in real time.
 test: install
-	$(MAKE) --no-print-directory -j 2 lint test-all
-
-# Three processes on two cores, as tests of nodes wait most of their time; the longest files first.
-test-all: install
-	$(BIN)/pytest -q -n 3 --dist loadfile --no-loadscope-reorder test/nodes/test_demo.py \
-		test/nodes/test_replay_nodes.py test/system test/nodes test/fuzz test/unit
+	$(MAKE) --no-print-directory -j 2 lint test-offline
+	$(MAKE) --no-print-directory test-nodes
 
 lint: install
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy landmark_nav
 
+# The longest files first, so that both processes have work until the end.
 test-offline: install
 	$(BIN)/pytest -q -n 2 --dist loadfile --no-loadscope-reorder test/system test/fuzz test/unit
 
 # These start nodes as processes of their own, each test in a ROS domain of its own.
 test-nodes: install
-	$(BIN)/pytest -q -n 2 --dist loadfile --no-loadscope-reorder test/nodes/test_demo.py test/nodes
+	$(BIN)/pytest -q -n 2 --dist loadfile --no-loadscope-reorder test/nodes
 
 bench: install
 	$(BIN)/landmark-nav bench
