@@ -35,7 +35,10 @@ install: .venv/installed
 demo: install
 	$(BIN)/landmark-nav demo --out demo --overwrite
 
-test: lint test-offline test-nodes
+# Tests of nodes by themselves, as some run in real time.
+test: install
+	$(MAKE) --no-print-directory -j 2 lint test-offline
+	$(MAKE) --no-print-directory test-nodes
 
 lint: install
 	$(BIN)/ruff check .
@@ -46,11 +49,9 @@ lint: install
 test-offline: install
 	$(BIN)/pytest -q -n 2 --dist loadfile --no-loadscope-reorder test/system test/fuzz test/unit
 
-# These start nodes as processes of their own, each test in a ROS domain of its own. The demo runs
-# in real time, so it gets the machine to itself.
-test-nodes: install test-offline
-	$(BIN)/pytest -q test/nodes/test_demo.py
-	$(BIN)/pytest -q -n 2 --dist loadfile --no-loadscope-reorder --ignore test/nodes/test_demo.py test/nodes
+# These start nodes as processes of their own, each test in a ROS domain of its own.
+test-nodes: install
+	$(BIN)/pytest -q -n 2 --dist loadfile --no-loadscope-reorder test/nodes
 
 bench: install
 	$(BIN)/landmark-nav bench

@@ -45,6 +45,14 @@ def once(tmp_path_factory):
     return made
 
 
+@pytest.fixture(scope='module')
+def undrawn():
+    """`learn` draws no figures, which take a sixth of its time."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr('landmark_nav.cli.learn._draw', lambda *_: None)
+        yield
+
+
 @pytest.fixture(scope='session')
 def recorded(once):
     """Folder of what `learn` and `evaluate` make of bags/: `map`, `learn.json`, `run.json`."""

@@ -16,7 +16,7 @@ import multiprocessing
 from pathlib import Path
 from typing import Any
 
-from harness import BAGS, command, figures_of, SHARED, start_of, STUDY
+from harness import BAGS, command, evaluate, figures_of, learn, SHARED, start_of, STUDY
 import numpy as np
 
 from landmark_nav.learning.panorama.photometry import Photometry
@@ -145,23 +145,17 @@ def run(scene, out, changes, learned, start):
     """Learn, unless a map is given, and drive; the report goes to `out`."""
     for target, value in changes.items():
         put(target, value)
-    robot = scene / 'robot.yaml'
-    drive, config = scene / 'drive', []  # type: Path, list[object]
+    name, given = 'start.json', {}
+    options = ['-q']
     if scene.name.startswith('mrclam'):
-        robot, drive, learned = scene / 'log_robot.yaml', scene / 'log', scene / 'log_map'
-        config = ['--config', scene / 'log_config.yaml']
-    if learned is None:
+        name, learned = 'log_start.json', scene / 'log_map'
+        given = {'drive': scene / 'log', 'robot': scene / 'log_robot.yaml'}
+        options += ['--config', scene / 'log_config.yaml']
+    elif learned is None:
         learned = out.with_suffix('.map')
-        command(
-            'learn', scene / 'learn', '--room', scene / 'room.yaml', '--robot', robot,
-            '--out', learned, '--overwrite', '-q',
-        )  # fmt: skip
-    if start:
-        name = 'log_start.json' if config else 'start.json'
-        config = [*config, '--start', *start_of(scene, name)]
-    command(
-        'evaluate', drive, '--map', learned, '--robot', robot, '--json', out, '-q', *config
-    )  # fmt: skip
+        learn(scene, learned, '-q')
+    given['start'] = start_of(scene, name) if start else None
+    evaluate(scene, learned, *options, out=out, **given)
 
 
 def measured(scene, out, changes, learned=None, start=True):

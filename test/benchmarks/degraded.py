@@ -18,7 +18,7 @@ import tempfile
 import cv2
 from harness import as_jpeg, BAGS, Drive, drive_parser, learn, start_of, summary
 import numpy as np
-from stream_errors import of_drives, of_sweeps, write_drive
+from stream_errors import of_drives, of_sweeps
 
 from landmark_nav.arrays import ImageArray
 from landmark_nav.calibration import Calibration
@@ -118,7 +118,7 @@ def named(drive, error, robot, room):
     """Whether the cause of an error is named, and all that is said; refusals are said, too."""
     known = load_calibration(robot)
     with tempfile.TemporaryDirectory() as scratch:
-        path = write_drive(Bag(drive), Path(scratch) / 'drive', error)
+        path = error.write(drive, Path(scratch) / 'drive')
         try:
             if error.robot:
                 given = Path(scratch) / 'robot.yaml'

@@ -107,6 +107,23 @@ def write_bag(path, messages):
     return path
 
 
+def rewritten(source, path, topics, change, recorded=False):
+    """Write a bag again with messages of `topics` changed; if `recorded`, log times as stamps."""
+
+    def altered():
+        for entry in Bag(source).messages():
+            topic, message, logged = relative_name(entry.topic), entry.message, entry.stamp_ns
+            if topic in topics:
+                stamp = decode.stamp_ns(message.header)
+                message = change(message)
+                if recorded and message is not None:
+                    logged += decode.stamp_ns(message.header) - stamp
+            messages = message if isinstance(message, list) else [message]
+            yield from ((topic, m, logged + k) for k, m in enumerate(messages) if m is not None)
+
+    return write_bag(path, altered())
+
+
 def displaced_drive(bag, path, turn_deg):
     """Write a drive whose camera was displaced before its first image."""
     fault = Fault(change.bumped(bag, turn_deg), (CAMERA,), FOR_GOOD_S)

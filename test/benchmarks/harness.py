@@ -17,7 +17,7 @@ from landmark_nav.storage.maps import load_map
 from landmark_nav.storage.robot_files import load_calibration
 
 REPOSITORY = Path(__file__).resolve().parents[2]
-BAGS = REPOSITORY / 'bags'
+BAGS, SETUPS = REPOSITORY / 'bags', REPOSITORY / 'test' / 'setups'
 SHARED = REPOSITORY.parent / 'shared' / 'data'
 STUDY = SHARED / 'study'
 # Sigma of x, y and heading of a given start, as `landmark-nav evaluate` takes it.

@@ -10,11 +10,11 @@ import json
 from pathlib import Path
 import tempfile
 
-from harness import BAGS, evaluate, figures_of, learn, REPOSITORY, start_of
+from harness import BAGS, evaluate, figures_of, learn, SETUPS, start_of
 from rooms import run_room
 
 BASELINE = Path(__file__).with_name('baseline.json')
-CAMERA = REPOSITORY / 'test' / 'setups' / 'camera_quarter_vga.yaml'
+CAMERA = SETUPS / 'camera_quarter_vga.yaml'
 SEED = 2718
 WORSE = 0.05
 # +1 where more is better.

@@ -5,7 +5,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import cv2
-from drive_faults import write_bag
+from drive_faults import rewritten
 import message_changes as m
 from message_changes import (
     CAMERA,
@@ -23,8 +23,6 @@ from message_changes import (
 import numpy as np
 
 from landmark_nav.geometry.camera import PanTiltMount
-from landmark_nav.messages import decode
-from landmark_nav.storage.bags.definitions import relative_name
 
 DEGREES = 180.0 / np.pi
 
@@ -54,6 +52,10 @@ class StreamError:
     finding: str = ''
     recorded: bool = False
     robot: Callable[[PanTiltMount], PanTiltMount] | None = None
+
+    def write(self, source, path):
+        """Write a drive, or sweeps, with this error in it."""
+        return rewritten(source, path, self.topics, self.change, self.recorded)
 
 
 odom, joints = partial(StreamError, (ODOMETRY,)), partial(StreamError, (JOINTS,))
@@ -404,20 +406,3 @@ def of_sweeps():
             ('sweep/camera_info',), m.lens(2.0, 2.0, 2.0, 2.0), 'camera lens', 'at the size of'),
     }
 # fmt: on
-
-
-def write_drive(bag, path, error):
-    """Write a drive, or sweeps, with an error in it."""
-
-    def altered():
-        for entry in bag.messages():
-            topic, message, logged = relative_name(entry.topic), entry.message, entry.stamp_ns
-            if topic in error.topics:
-                stamp = decode.stamp_ns(message.header)
-                message = error.change(message)
-                if error.recorded and message is not None:
-                    logged += decode.stamp_ns(message.header) - stamp
-            messages = message if isinstance(message, list) else [message]
-            yield from ((topic, m, logged + k) for k, m in enumerate(messages) if m is not None)
-
-    return write_bag(path, altered())

@@ -6,6 +6,7 @@ from pathlib import Path
 import shutil
 from typing import Any
 
+from bag_writers import ros1_bag, rosbag2_bag
 from bounds import enter, FUZZ
 import corpus
 import cv2
@@ -14,10 +15,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 import numpy as np
 import pytest
-from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import StoragePlugin
-from rosbags.rosbag2 import Writer as Ros2Writer
-from rosbags.typesys import get_typestore, Stores
 import yaml
 
 from landmark_nav.calibration import Calibration
@@ -26,7 +24,7 @@ from landmark_nav.diagnosis import diagnose, QUICK
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages.factory import default_typestore
-from landmark_nav.storage.bags import Bag, read_sweeps, sensor_events
+from landmark_nav.storage.bags import Bag, BagWriter, read_sweeps, sensor_events
 from landmark_nav.storage.bags.definitions import TOPIC_TYPES
 from landmark_nav.storage.bags.sweeps import read_sweep_folder
 from landmark_nav.storage.maps import load_map, save_map
@@ -135,28 +133,19 @@ def test_mrclam_logs(data, scratch):
     enter(lambda: read_mrclam(scratch, 1, 0.03))
 
 
-def write_bag(path, kind, messages):
-    """Write one message of each topic three times; returns the file that holds them."""
-    stamps = range(10 * corpus.SECOND_NS, 13 * corpus.SECOND_NS, corpus.SECOND_NS)
+def write_bag(folder, kind):
+    """Write messages of each topic to `bag` in a folder, of a kind of file."""
+    sent = [
+        (topic, k * corpus.SECOND_NS, serialized(topic, corpus.recorded()[topic]))
+        for topic in BAG_TOPICS
+        for k in range(10, 13)
+    ]
+    write_raw(folder / 'source', sent)
     if kind == 'ros1':
-        old = get_typestore(Stores.ROS1_NOETIC)
-        with Ros1Writer(path) as bag:
-            type_name, joints = TOPIC_TYPES['joint_states'], messages['joint_states']
-            header = old.types['std_msgs/msg/Header'](0, joints.header.stamp, '')
-            message = old.types[type_name](
-                header, joints.name, joints.position, joints.velocity, joints.effort
-            )
-            connection = bag.add_connection('/joint_states', type_name, typestore=old)
-            for stamp in stamps:
-                bag.write(connection, stamp, old.serialize_ros1(message, type_name))
-        return path
-    plugin = StoragePlugin.MCAP if kind == 'mcap' else StoragePlugin.SQLITE3
-    with Ros2Writer(path, version=9, storage_plugin=plugin) as bag:
-        for topic, message in messages.items():
-            connection = bag.add_connection(f'/{topic}', TOPIC_TYPES[topic], typestore=STORE)
-            for stamp in stamps:
-                bag.write(connection, stamp, serialized(topic, message))
-    return next(file for file in path.iterdir() if file.name != 'metadata.yaml')
+        ros1_bag(folder / 'source', folder / 'bag')
+    else:
+        storage = StoragePlugin.MCAP if kind == 'mcap' else StoragePlugin.SQLITE3
+        rosbag2_bag(folder / 'source', folder / 'bag', storage=storage)
 
 
 def read_all(path):
@@ -175,12 +164,15 @@ def read_all(path):
 @FUZZ
 @given(data=st.data())
 def test_bags(kind, data, scratch):
-    path = scratch / ('bag.bag' if kind == 'ros1' else 'bag')
-    if path.exists():
-        shutil.rmtree(path) if path.is_dir() else path.unlink()
-    file = write_bag(path, kind, {topic: corpus.recorded()[topic] for topic in BAG_TOPICS})
-    if kind != 'ros1' and data.draw(st.integers(0, 3)) == 0:
-        file = path / 'metadata.yaml'
+    if not (scratch / 'good').exists():
+        (scratch / 'good').mkdir()
+        write_bag(scratch / 'good', kind)
+    shutil.rmtree(scratch / 'bad', ignore_errors=True)
+    shutil.copytree(scratch / 'good', scratch / 'bad')
+    path = file = scratch / 'bad' / 'bag'
+    if kind != 'ros1':
+        described = data.draw(st.integers(0, 3)) == 0
+        file = path / 'metadata.yaml' if described else next(path.glob('bag.*'))
     file.write_bytes(data.draw(changed_bytes(file.read_bytes())))
     enter(lambda: read_all(path))
     enter(lambda: check_bag(path))
@@ -198,14 +190,9 @@ def check_bag(path):
 
 def write_raw(path, sent):
     """Write a bag of topics, times of recording and serialised messages."""
-    shutil.rmtree(path, ignore_errors=True)
-    connections: dict[str, Any] = {}
-    with Ros2Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as bag:
+    with BagWriter(path, overwrite=True) as bag:
         for topic, stamp, raw in sent:
-            if topic not in connections:
-                kind = TOPIC_TYPES[topic]
-                connections[topic] = bag.add_connection(f'/{topic}', kind, typestore=STORE)
-            bag.write(connections[topic], stamp, raw)
+            bag.write_serialized(topic, TOPIC_TYPES[topic], raw, stamp)
 
 
 def serialized(topic, message):

@@ -28,6 +28,14 @@ def pytest_pycollect_makemodule(module_path, parent):
     return None if find_spec('rclpy') else _WithoutRos.from_parent(parent, path=module_path)
 
 
+@pytest.fixture(autouse=True)
+def _logging(monkeypatch):
+    """A node that runs here logs to ROS until it ends."""
+    package = logging.getLogger('landmark_nav')
+    for name in ('handlers', 'propagate', 'level'):
+        monkeypatch.setattr(package, name, getattr(package, name))
+
+
 @pytest.fixture
 def domain_id():
     """A domain that no other test on this machine uses, below the ephemeral ports."""
@@ -123,9 +131,6 @@ def run_main(monkeypatch, domain_id, capfd):
     monkeypatch.setenv('ROS_DOMAIN_ID', str(domain_id))
     # It would end the tests.
     monkeypatch.setattr('landmark_nav.ros.run._GRACE_S', 600.0)
-    package = logging.getLogger('landmark_nav')
-    for name in ('handlers', 'propagate', 'level'):
-        monkeypatch.setattr(package, name, getattr(package, name))
 
     def run(name, *arguments):
         monkeypatch.setattr('sys.argv', [name, '--ros-args', *arguments])

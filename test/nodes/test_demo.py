@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 
+from harness import SETUPS
 import pytest
 
 from landmark_nav.demo.scenario import RECORDED_TOPICS
@@ -23,18 +24,23 @@ SHOWN = {
     if topic not in ('/diagnostics', 'odometry_fusion/protection_level')
 }
 DEMO = [sys.executable, '-m', 'landmark_nav', 'demo', '--out']
-# The same with fewer frames and a shorter way.
+# The same with fewer frames of fewer pixels, fewer candidates and a shorter way.
 SHORT_DEMO = """
 import functools, pathlib, sys
 from landmark_nav.cli import demo, main
 from landmark_nav.demo import scenario
-scenario._TOUR_M = 5.0
+scenario._TOUR_M = 3.0
 demo.node_commands = functools.partial(
     demo.node_commands, parameter_file=pathlib.Path(sys.argv.pop(1))
 )
 sys.exit(main.main())
 """
-SHORT_SWEEP = '/**: {ros__parameters: {capture: {frames: 16, step_rad: 0.3926991}}}'
+SHORT = f"""/**:
+  ros__parameters:
+    camera_file: {SETUPS / 'camera_quarter_vga.yaml'}
+    capture: {{frames: 16, step_rad: 0.3926991}}
+    attention: {{candidates: 60}}
+"""
 
 
 @pytest.fixture
@@ -82,7 +88,7 @@ def test_a_node_that_died_is_reported_and_the_others_end(demo, tmp_path):
 
 def test_learns_drives_and_stays_exact(tmp_path, domain_id):
     folder, parameters = tmp_path / 'demo', tmp_path / 'short.yaml'
-    parameters.write_text(SHORT_SWEEP)
+    parameters.write_text(SHORT)
     command = [sys.executable, '-c', SHORT_DEMO, str(parameters), 'demo', '--out', str(folder)]
     environment = {**os.environ, 'ROS_DOMAIN_ID': str(domain_id)}
     done = subprocess.run(command, capture_output=True, text=True, timeout=540, env=environment)

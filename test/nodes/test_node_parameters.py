@@ -2,8 +2,8 @@
 
 import dataclasses
 from importlib import import_module
-from pathlib import Path
 
+from harness import BAGS
 import pytest
 from rclpy.parameter import Parameter
 
@@ -38,7 +38,6 @@ class Whole(Config):
 
 
 LIVE = ('kind', 'section')
-ROBOT = Path(__file__).resolve().parents[2] / 'bags' / 'robot.yaml'
 
 
 class ConfiguredNode(LandmarkNode):
@@ -129,7 +128,7 @@ def test_each_node_takes_what_is_set_also_once_it_was_configured_anew(name, cont
     kind = getattr(
         import_module(f'landmark_nav.nodes.{name}'), name.title().replace('_', '') + 'Node'
     )
-    robot = Parameter('robot_file', value=str(ROBOT))
+    robot = Parameter('robot_file', value=str(BAGS / 'robot.yaml'))
     node = kind(context=context, parameter_overrides=[robot])
     what, value = SET[name]
     for given in (value, value + value):

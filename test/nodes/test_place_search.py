@@ -1,12 +1,12 @@
 """When the pose is searched without a request, and the camera turned for it."""
 
 from dataclasses import replace
-from pathlib import Path
 import time
 from types import SimpleNamespace
 from typing import Any, cast
 
 from graph import map_sender
+from harness import BAGS
 import numpy as np
 import pytest
 from rclpy.task import Future
@@ -122,7 +122,6 @@ def test_a_place_in_a_map_that_is_gone_is_not_reported(search):
     assert search.active
 
 
-RECORDED = Path(__file__).resolve().parents[2] / 'bags'
 SELECTOR = 'triplet_selector'
 LIMITS = (-1.2, 0.9)
 
@@ -130,15 +129,15 @@ LIMITS = (-1.2, 0.9)
 def test_it_looks_around_within_the_limits_and_leaves_the_camera_to_others(
     start, client, learned_map, tmp_path
 ):
-    mount = load_robot(str(RECORDED / 'robot.yaml'))
-    drive = Bag(RECORDED / 'drive')
+    mount = load_robot(str(BAGS / 'robot.yaml'))
+    drive = Bag(BAGS / 'drive')
     info = next(drive.messages([drive.require('camera/camera_info')])).message
     camera = decode.camera_model(info)
     topics = ('camera/camera_info', 'joint_states', 'odometry/fused')
     infos, joints, fused = (client.advertise(topic) for topic in topics)
     robot = tmp_path / 'robot.yaml'
     limits = f'pan_min: {LIMITS[0]}\npan_max: {LIMITS[1]}\n'
-    robot.write_text((RECORDED / 'robot.yaml').read_text() + limits)
+    robot.write_text((BAGS / 'robot.yaml').read_text() + limits)
     start(SELECTOR, robot_file=str(robot), yield_s=1.5)
     map_sender(client)(load_map(learned_map))
     commands: list[float] = []

@@ -24,6 +24,8 @@ from landmark_nav.types import PoseEstimate
 # How exact the start is given, 1 sigma.
 START_SIGMA = (0.02, 0.02, 0.01)
 LATE_S = 0.04
+# Of 120, for time.
+FEW = {'attention.candidates': 70}
 ROBOT, ROOM = str(BAGS / 'robot.yaml'), str(BAGS / 'room.yaml')
 LEARNER, SYNTHESIZER = 'landmark_learner', 'panorama_synthesizer'
 FUSION, LOCALIZER = 'odometry_fusion', 'triangulation_localizer'
@@ -51,10 +53,10 @@ def has_learned_the_camera(landmarks):
 
 def test_learned_and_localized_as_offline(start, client, play_all, tmp_path):
     """Also where joint states are late, which is measured."""
-    robot = str(shutil.copy(ROBOT, tmp_path))
+    robot, folder = str(shutil.copy(ROBOT, tmp_path)), str(tmp_path / 'map')
     nodes: dict[str, dict[str, Any]] = {
         SYNTHESIZER: {'robot_file': robot, 'room_file': ROOM},
-        LEARNER: {'robot_file': robot, 'room_file': ROOM, 'map_folder': str(tmp_path / 'map')},
+        LEARNER: {'robot_file': robot, 'room_file': ROOM, 'map_folder': folder, **FEW},
         LOCALIZER: {'robot_file': robot},
         FUSION: {'robot_file': robot},
     }
@@ -138,7 +140,7 @@ def test_sweeps_and_odometry_become_a_map_that_a_drive_goes_by(start, client, pl
     known = load_calibration(ROBOT)
     save_calibration(known.with_values(**wrong).widened(wrong), robot)
     start(SYNTHESIZER, robot_file=robot)
-    start(LEARNER, robot_file=robot, map_folder=str(folder))
+    start(LEARNER, robot_file=robot, map_folder=str(folder), **FEW)
     starts: list[Any] = []
     client.listen('initialpose', starts.append)
     client.wait(lambda: {SYNTHESIZER, LEARNER} <= client.status.keys(), 60.0, 'the nodes')

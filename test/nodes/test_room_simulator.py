@@ -1,9 +1,9 @@
 """The simulated robot survives invalid commands and changes of the system time."""
 
 import math
-from pathlib import Path
 import time
 
+from harness import SETUPS
 import numpy as np
 import pytest
 
@@ -11,12 +11,10 @@ from landmark_nav.messages.decode import stamp_ns
 from landmark_nav.nodes.room_simulator import RoomSimulatorNode
 from landmark_nav.ros.topics import ros_factory
 
-CAMERA = Path(__file__).resolve().parents[1] / 'setups' / 'camera_quarter_vga.yaml'
-
 
 @pytest.fixture
 def robot(graph):
-    return graph.make(RoomSimulatorNode, camera_file=str(CAMERA))
+    return graph.make(RoomSimulatorNode, camera_file=str(SETUPS / 'camera_quarter_vga.yaml'))
 
 
 def command(robot, topic, message):

@@ -3,12 +3,12 @@
 from contextlib import contextmanager
 from dataclasses import replace
 import json
-from pathlib import Path
 import subprocess
 import sys
 from typing import Any
 
 from graph import is_right, map_sender, off
+from harness import BAGS
 import numpy as np
 
 from landmark_nav.demo.supervisor import node_environment
@@ -19,8 +19,7 @@ from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.maps import load_map
 from landmark_nav.types import PoseEstimate
 
-RECORDED = Path(__file__).resolve().parents[2] / 'bags'
-ROBOT = str(RECORDED / 'robot.yaml')
+ROBOT = str(BAGS / 'robot.yaml')
 FUSION, LOCALIZER, SELECTOR = 'odometry_fusion', 'triangulation_localizer', 'triplet_selector'
 
 
@@ -66,7 +65,7 @@ class Watch:
 def test_a_restart_another_map_the_bag_again_and_a_wrong_start(
     start, client, play, learned_map, domain_id
 ):
-    drive, whole = Bag(RECORDED / 'drive'), load_map(learned_map)
+    drive, whole = Bag(BAGS / 'drive'), load_map(learned_map)
     half = replace(whole, landmarks=whole.landmarks[::2])
     send_map = map_sender(client)
     ranked: list[Any] = []

@@ -1,7 +1,6 @@
 """Robot and base station on two hosts (network namespaces): the link is cut, and loses packets."""
 
 from contextlib import ExitStack
-from pathlib import Path
 import shutil
 import subprocess
 import sys
@@ -9,10 +8,10 @@ import textwrap
 import time
 
 from builders import nees
+from harness import command, learn, REPOSITORY, SETUPS
 import numpy as np
 import pytest
 
-from landmark_nav.cli.main import main
 from landmark_nav.demo.supervisor import node_command, node_environment, Supervisor
 from landmark_nav.evaluation.learning_report import truth_of_bag
 from landmark_nav.evaluation.metrics import pose_errors
@@ -20,9 +19,8 @@ from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag
 from landmark_nav.types import PoseEstimate
 
-REPOSITORY = Path(__file__).resolve().parents[2]
 # So few pixels that a starved machine also renders and encodes ten images a second.
-CAMERA, RATE_HZ, SEED = REPOSITORY / 'test' / 'setups' / 'camera_quarter_vga.yaml', 10, 7
+CAMERA, RATE_HZ, SEED = SETUPS / 'camera_quarter_vga.yaml', 10, 7
 PROFILE = REPOSITORY / 'config' / 'lossy_link.xml'
 SENT_AGAIN = 'qos_overrides./camera/image_raw/compressed.{}.reliability'
 CUT_S, LOSS_S, FIXES = 10.0, 6.0, 8
@@ -132,18 +130,16 @@ def hosts():
 
 
 @pytest.fixture(scope='module')
-def setup(tmp_path_factory):
+def setup(undrawn, tmp_path_factory):
     """
     Folder with `robot.yaml`, `room.yaml` and a map of the very room that is driven in.
 
     The recorded room has the same walls, and most of what hangs there is centimetres off.
     """
     folder = tmp_path_factory.mktemp('two_hosts') / 'setup'
-    drawn = ['--seed', str(SEED), '--camera', str(CAMERA), '--exact']
-    short = ['--frames', '36', '--drive-seconds', '0.5']
-    assert main(['simulate', '--out', str(folder), *drawn, *short]) == 0
-    given = ['--room', str(folder / 'room.yaml'), '--robot', str(folder / 'robot.yaml')]
-    assert main(['learn', str(folder / 'learn'), *given, '--out', str(folder / 'map')]) == 0
+    drawn = ('--seed', SEED, '--camera', CAMERA, '--exact', '--frames', 36)
+    command('simulate', '--out', folder, *drawn, '--drive-seconds', 0.5)
+    learn(folder, folder / 'map')
     return folder
 
 

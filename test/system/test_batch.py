@@ -7,17 +7,19 @@ import subprocess
 import sys
 import time
 
+from harness import SETUPS
 import pytest
 
 pytest.importorskip('distributed', reason='the extra batch is not installed')
 
 DASK = [sys.executable, '-m', 'dask']
-JOBS = """
+SMALL = f'camera: {SETUPS}/camera_quarter_vga.yaml, room: {SETUPS}/room_small.yaml'
+JOBS = f"""
 runs:
   - name: room
-    simulate: {frames: 8, sweeps: 1, drive-seconds: 0.5}
+    simulate: {{frames: 8, sweeps: 1, drive-seconds: 0.5, {SMALL}}}
   - name: no robot
-    simulate: {robot: jobs.yaml}
+    simulate: {{robot: jobs.yaml}}
 grid:
   simulate.seed: [1, 2]
 """

@@ -27,7 +27,7 @@ OFF = {
 
 
 @pytest.fixture(scope='module')
-def calibrated(tmp_path_factory):
+def calibrated(fewer, tmp_path_factory):
     """Folder with what came of a robot.yaml that is off; the right calibration, the given one."""
     folder = tmp_path_factory.mktemp('calibrate')
     # Without sigmas: what a person with a tape and a spirit level knows.
@@ -41,7 +41,7 @@ def calibrated(tmp_path_factory):
     better.write_text('is mine\n')
     words = ['calibrate', LEARN, DRIVE, '--room', ROOM, '--robot', str(folder / 'given.yaml')]
     words += ['--out', str(better), '--json', str(folder / 'c.json')]
-    words += ['--report', str(folder / 'report.html')]
+    words += ['--report', str(folder / 'report.html'), *fewer]
     # A file is replaced only on demand.
     assert main(words) == 1
     assert better.read_text() == 'is mine\n'
@@ -120,7 +120,7 @@ def test_what_a_robot_that_stands_does_not_show_stays_as_given(recorded, tmp_pat
     assert {'axis_x', 'axis_yaw'} <= named
 
 
-def test_sweeps_and_a_drive_need_no_plan(tmp_path):
+def test_sweeps_and_a_drive_need_no_plan(fewer, tmp_path):
     """The frame and the scale are those of odometry; the mount is found all the same."""
     sweeps = str(with_odometry(BAGS / 'learn', tmp_path / 'sweeps', 1.0))
     text = (BAGS / 'robot.yaml').read_text()
@@ -131,7 +131,7 @@ def test_sweeps_and_a_drive_need_no_plan(tmp_path):
     given = right.with_values(axis_yaw=right['axis_yaw'][0] + OFF['axis_yaw'])
     save_calibration(given, tmp_path / 'given.yaml')
     words = ['--robot', str(tmp_path / 'given.yaml'), '--out', str(tmp_path / 'better.yaml')]
-    assert main(['calibrate', sweeps, DRIVE, *words]) == 0
+    assert main(['calibrate', sweeps, DRIVE, *words, *fewer]) == 0
     found = load_calibration(tmp_path / 'better.yaml')
     for name in ('axis_yaw', 'axis_x', 'center_x', 'camera_roll'):
         assert abs(found[name][0] - right[name][0]) < 4.0 * found[name][1], name

@@ -6,8 +6,8 @@ import re
 
 import cv2
 from drive_faults import recorded as sent
-from drive_faults import write_bag
-from harness import BAGS, start_of
+from drive_faults import rewritten, write_bag
+from harness import BAGS, command, start_of
 from message_changes import at_origin, driven, moved
 import numpy as np
 import pytest
@@ -17,12 +17,6 @@ from landmark_nav.storage.bags import Bag
 
 ROBOT, ROOM = str(BAGS / 'robot.yaml'), str(BAGS / 'room.yaml')
 START = tuple(map(str, start_of(BAGS)))
-
-
-def rewrite(source, target, change):
-    """Copy a bag; `change` gets topic, message and log time, and may leave it out with None."""
-    changed = ((topic, change(topic, message, log), log) for topic, message, log in sent(source))
-    return str(write_bag(target, (one for one in changed if one[1] is not None)))
 
 
 def refused(capsys, arguments, *words, status=1):
@@ -104,22 +98,21 @@ def test_a_recording_that_broke_off_may_leave_a_single_sweep(tmp_path, capsys, c
 @pytest.mark.parametrize(
     ('topic', 'change', 'words'),
     [
-        ('/sweep/camera_info', {'distortion_model': 'fisheye624'}, ('fisheye624', 'plumb_bob')),
+        ('sweep/camera_info', {'distortion_model': 'fisheye624'}, ('fisheye624', 'plumb_bob')),
         (
-            '/sweep/image/compressed',
+            'sweep/image/compressed',
             {'format': 'h264', 'data': np.array([0, 0, 0, 1, 0x67] * 20, np.uint8)},
             ('h264', 'jpeg'),
         ),
     ],
 )
 def test_unknown_cameras_and_encodings_are_refused_by_name(tmp_path, capsys, topic, change, words):
-    def with_change(name, message, _):
-        for field, value in change.items() if name == topic else ():
-            setattr(message, field, value)
+    def with_change(message):
+        vars(message).update(change)
         return message
 
-    bag = rewrite(BAGS / 'learn', tmp_path / 'strange', with_change)
-    refused(capsys, learn(bag, tmp_path / 'map'), topic, *words)
+    bag = rewritten(BAGS / 'learn', tmp_path / 'strange', (topic,), with_change)
+    refused(capsys, learn(bag, tmp_path / 'map'), f'/{topic}', *words)
     assert not (tmp_path / 'map').exists()
 
 
@@ -135,15 +128,10 @@ def test_truth_in_another_frame_or_unit_is_named(
     recorded, tmp_path, caplog, recwarn, change, reported
 ):
     half_ns = Bag(BAGS / 'drive').start_ns + 7 * 10**9
-
-    def of_truth(topic, message, log_ns):
-        if log_ns > half_ns:
-            return None
-        return change(message) if topic == '/ground_truth/odom' else message
-
-    bag = rewrite(BAGS / 'drive', tmp_path / 'truth', of_truth)
+    half = write_bag(tmp_path / 'half', (one for one in sent(BAGS / 'drive') if one[2] < half_ns))
+    bag = rewritten(half, tmp_path / 'truth', ('ground_truth/odom',), change)
     report = tmp_path / 'report.json'
-    assert main([str(a) for a in [*evaluate(bag, recorded / 'map'), '--json', report]]) == 0
+    command(*evaluate(bag, recorded / 'map'), '--json', report)
     said = ' '.join(line.getMessage() for line in caplog.records)
     assert bool(re.search('ground_truth.* frame', said)) == bool(reported)
     assert re.search(reported, said)
@@ -152,17 +140,16 @@ def test_truth_in_another_frame_or_unit_is_named(
 
 
 def test_sweeps_show_what_camera_info_and_robot_yaml_are_off_by(few, tmp_path):
-    def misread(topic, message, _):
-        if topic.endswith('camera_info'):
-            message.k = message.k * [1.03, 1, 1, 1, 1.03, 1, 1, 1, 1] + 10.0 * (np.arange(9) == 2)
-            message.d = message.d + 0.04 * (np.arange(len(message.d)) == 0)
+    def misread(message):
+        message.k = message.k * [1.03, 1, 1, 1, 1.03, 1, 1, 1, 1] + 10.0 * (np.arange(9) == 2)
+        message.d = message.d + 0.04 * (np.arange(len(message.d)) == 0)
         return message
 
-    bag = rewrite(BAGS / 'learn', tmp_path / 'misread', misread)
+    bag = rewritten(BAGS / 'learn', tmp_path / 'misread', ('sweep/camera_info',), misread)
     robot, out = tmp_path / 'robot.yaml', tmp_path / 'learn.json'
     robot.write_text('pan_axis: {xyz: [0.08, 0, 1.1]}\noptical_center_offset: [0, -0.02, 0]\n')
-    arguments = ['learn', bag, '--room', ROOM, '--robot', robot, '--out', tmp_path / 'map']
-    assert main([str(word) for word in [*arguments, *few, '--json', out]]) == 0
+    files = ('--room', ROOM, '--robot', robot, '--out', tmp_path / 'map', '--json', out)
+    command('learn', bag, *files, *few)
     sweeps = json.loads(out.read_text())['sweeps']
     assert max(sweep['error_position_m'] for sweep in sweeps) < 0.005
 

@@ -5,7 +5,7 @@ import json
 
 from calibration import Line
 from drive_faults import displaced_drive, late_drive, starved_drive
-from harness import BAGS, Drive, evaluate, rms, start_of
+from harness import BAGS, Drive, evaluate, learn, rms, start_of
 import numpy as np
 import pytest
 from small import recorded_figures, worse
@@ -92,10 +92,7 @@ def test_sigmas_of_sweeps_hold_what_is_unknown_of_the_mount(few, tmp_path):
     (x, y, z), robot = mount.axis_xyz, tmp_path / 'robot.yaml'
     off = replace(mount, axis_xyz=(x + 0.02, y - 0.03, z), axis_rpy=(0.0, 0.0, 0.02))
     save_calibration(Calibration.of_mount(off), robot)
-    files = ['--robot', robot, '--out', tmp_path / 'map', '--json', tmp_path / 'learn.json']
-    files += ['--room', BAGS / 'room.yaml', *few]
-    assert main([str(word) for word in ('learn', BAGS / 'learn', *files)]) == 0
-    sweeps = json.loads((tmp_path / 'learn.json').read_text())['sweeps']
+    sweeps = learn(BAGS, tmp_path / 'map', '--robot', robot, *few)['sweeps']
     assert max(sweep['error_position_m'] for sweep in sweeps) > 0.02
     assert max(sweep['nees'] for sweep in sweeps) < 16.0
 

@@ -1,12 +1,9 @@
 """Learning and localization in a room that another simulator rendered."""
 
-from pathlib import Path
-
-from harness import evaluate, learn, start_of
+from harness import evaluate, learn, SHARED, start_of
 import numpy as np
 import pytest
 
-from landmark_nav.cli.main import main
 from landmark_nav.storage.maps import load_map
 
 pytestmark = pytest.mark.usefixtures('undrawn')
@@ -50,7 +47,7 @@ def test_a_drive_shows_the_pan_zero_of_a_mount_without_sigmas(study, learned, tm
     assert abs(yaw['value']) <= 3.0 * yaw['sigma'] <= np.radians(0.6)
 
 
-FLAT = Path(__file__).parents[3] / 'shared' / 'data' / 'flat'
+FLAT = SHARED / 'flat'
 
 
 @pytest.mark.skipif(not FLAT.is_dir(), reason='needs ../shared/data/flat')
@@ -59,11 +56,8 @@ def test_a_flat_is_learned_whatever_matches(tmp_path):
     # Stereo that takes any match, of few candidates.
     limits = 'stereo: {max_displaced_px: 8.0}\nattention: {candidates: 70}\n'
     wide.write_text(limits + (FLAT / 'relaxed.yaml').read_text().split('\n', 1)[1])
-    files = ['--room', str(FLAT / 'room.yaml'), '--robot', str(FLAT / 'robot.yaml')]
-    out = tmp_path / 'map'
-    learn = ['learn', str(FLAT / 'learn'), *files, '--config', str(wide), '--out', str(out)]
-    assert main(learn) == 0
-    landmarks = load_map(out).landmarks
+    learn(FLAT, tmp_path / 'map', '--config', wide)
+    landmarks = load_map(tmp_path / 'map').landmarks
     assert len(landmarks) >= 3
     assert all(np.linalg.eigvalsh(k.covariance)[0] > 0.0 for k in landmarks)
     assert max(float(np.abs(k.position).max()) for k in landmarks) < 10.0

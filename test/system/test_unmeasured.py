@@ -4,7 +4,7 @@ import json
 from types import SimpleNamespace
 from typing import Any
 
-from harness import BAGS, evaluate, start_of
+from harness import BAGS, command, evaluate, start_of
 import numpy as np
 import pytest
 from unmeasured import with_odometry
@@ -26,9 +26,8 @@ SCALE = 1.02
 def learned(tmp_path_factory):
     out = tmp_path_factory.mktemp('unmeasured')
     sweeps = with_odometry(BAGS / 'learn', out / 'sweeps', SCALE)
-    words = ['learn', str(sweeps), '--robot', ROBOT, '--out', str(out / 'map')]
-    words += ['--json', str(out / 'learn.json'), '--walls-out', str(out / 'room.yaml')]
-    assert main(words) == 0
+    files = ('--json', out / 'learn.json', '--walls-out', out / 'room.yaml')
+    command('learn', sweeps, '--robot', ROBOT, '--out', out / 'map', *files)
     return json.loads((out / 'learn.json').read_text()), out
 
 
@@ -63,9 +62,9 @@ def test_walls_found_are_those_of_the_room(learned):
 
 
 def test_the_walls_found_can_be_corrected_and_given(learned, tmp_path):
-    words = ['learn', str(learned[1] / 'sweeps'), '--robot', ROBOT, '--out', str(tmp_path / 'map')]
-    words += ['--room', str(learned[1] / 'room.yaml'), '--json', str(tmp_path / 'learn.json')]
-    assert main(words) == 0
+    files = ('--room', learned[1] / 'room.yaml', '--json', tmp_path / 'learn.json')
+    sweeps, out = learned[1] / 'sweeps', tmp_path / 'map'
+    command('learn', sweeps, '--robot', ROBOT, '--out', out, *files)
     again = json.loads((tmp_path / 'learn.json').read_text())
     assert again['sweeps'][1]['pose'] == pytest.approx(learned[0]['sweeps'][1]['pose'], abs=3e-3)
     assert set(again['landmarks_per_wall']) == set(learned[0]['landmarks_per_wall'])
@@ -91,9 +90,8 @@ def test_the_map_serves_a_drive(learned, tmp_path):
 
 
 def test_papers_at_unknown_places_give_the_scale(few, tmp_path):
-    words = ['learn', str(BAGS / 'learn'), '--robot', ROBOT, '--out', str(tmp_path / 'map')]
-    words += ['--paper-size', '0.210', '0.297', '--json', str(tmp_path / 'learn.json'), *few]
-    assert main(words) == 0
+    words = ('--paper-size', 0.210, 0.297, '--json', tmp_path / 'learn.json', *few)
+    command('learn', BAGS / 'learn', '--robot', ROBOT, '--out', tmp_path / 'map', *words)
     learned = json.loads((tmp_path / 'learn.json').read_text())
     truth = truth_of_bag(Bag(BAGS / 'learn'))
     expected = se2.relative(truth.poses[0], truth.poses[-1])
@@ -116,10 +114,12 @@ def test_papers_at_unknown_places_give_the_scale(few, tmp_path):
         ([], 1, 'odom sweep/pose --paper-size --room'),
     ],
 )
-def test_without_a_scale_it_is_refused_in_one_line(words, status, named, tmp_path, capsys):
-    # Quiet: progress, which is due ten seconds after this process has started, is not the refusal.
-    given = ['--quiet', 'learn', str(BAGS / 'learn'), '--robot', ROBOT]
-    given += ['--out', str(tmp_path / 'map')]
+def test_without_a_scale_it_is_refused_in_one_line(
+    words, status, named, tmp_path, capsys, monkeypatch
+):
+    # A slow machine shows progress, which is not the refusal.
+    monkeypatch.setattr('landmark_nav.cli.options._LINE_EVERY_S', np.inf)
+    given = ['learn', str(BAGS / 'learn'), '--robot', ROBOT, '--out', str(tmp_path / 'map')]
     assert main([*given, *words]) == status
     (line,) = capsys.readouterr().err.strip().splitlines()
     assert len(line) < 300

@@ -1,6 +1,7 @@
 """The import rules of docs/architecture.md."""
 
 import ast
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 
@@ -78,23 +79,20 @@ def part(module):
     return module.relative_to(PACKAGE).parts[0].removesuffix('.py')
 
 
-TREES = {module: ast.parse(module.read_text(encoding='utf-8')) for module in MODULES}
-
-
+@cache
 def imports(module):
     """Full names of all modules imported anywhere in a file."""
-    for node in ast.walk(TREES[module]):
+    found = set()
+    for node in ast.walk(ast.parse(module.read_text(encoding='utf-8'))):
         if isinstance(node, ast.Import):
-            yield from (alias.name for alias in node.names)
+            found.update(alias.name for alias in node.names)
         elif isinstance(node, ast.ImportFrom):
             assert node.level == 0, f'{module}:{node.lineno}: a relative import'
             assert node.module is not None
             # `from landmark_nav import x` names a part, too.
             names = [f'{node.module}.{alias.name}' for alias in node.names]
-            yield from names if node.module == 'landmark_nav' else [node.module]
-
-
-IMPORTS = {module: set(imports(module)) for module in MODULES}
+            found.update(names if node.module == 'landmark_nav' else [node.module])
+    return found
 
 
 def is_ros(name):
@@ -107,7 +105,7 @@ def test_imports_run_downward():
     wrong = {
         str(module): name
         for module in MODULES
-        for name in IMPORTS[module]
+        for name in imports(module)
         if name.startswith('landmark_nav.')
         and name.split('.')[1] not in {part(module), *BELOW.get(part(module), ())}
     }
@@ -116,7 +114,7 @@ def test_imports_run_downward():
 
 def test_ros_stays_behind_its_door():
     outside = [module for module in MODULES if part(module) not in ROS_PARTS]
-    assert not {str(m): name for m in outside for name in IMPORTS[m] if is_ros(name)}
+    assert not {str(m): name for m in outside for name in imports(m) if is_ros(name)}
 
 
 def test_every_part_has_its_place():

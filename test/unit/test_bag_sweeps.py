@@ -1,5 +1,7 @@
 """Sweeps and drives come out of bags and folders, with what is missing named."""
 
+import copy
+from itertools import count
 import re
 
 from bag_writers import (
@@ -13,7 +15,8 @@ from bag_writers import (
     write_sweep,
 )
 import cv2
-from drive_faults import recorded, write_bag
+from drive_faults import EVERYTHING, recorded, rewritten, write_bag
+import message_changes as m
 import numpy as np
 import pytest
 
@@ -23,6 +26,8 @@ from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.messages import encode
 from landmark_nav.storage.bags import Bag, BagWriter, read_sweep_folder, read_sweeps, sensor_events
 from landmark_nav.types import CameraFrame, PoseEstimate
+
+CUT = m.field('data', lambda data: data[:30])
 
 
 def sweep_bag(path, *sweeps, **options):
@@ -174,6 +179,10 @@ def test_a_folder_of_images_is_a_sweep(tmp_path, comma):
         read_sweep_folder(tmp_path)
 
 
+def changed_drive(tmp_path, topics, change):
+    return rewritten(write_drive(tmp_path / 'drive'), tmp_path / 'changed', topics, change)
+
+
 def frames_of(path, warn=print):
     return [e for e in sensor_events(Bag(path, warn), MOUNT) if isinstance(e, CameraFrame)]
 
@@ -188,12 +197,9 @@ def test_ground_truth_in_another_frame_than_the_map_is_reported(tmp_path, caplog
 
 
 def test_joint_states_in_degrees_are_refused(tmp_path):
-    sent = recorded(write_drive(tmp_path / 'drive'))
-    for topic, message, _ in sent:
-        if topic == '/joint_states':
-            message.position = np.degrees(message.position)
+    path = changed_drive(tmp_path, (m.JOINTS,), m.joints(np.degrees))
     with pytest.raises(LandmarkNavError, match=r'joint_states: the pan turns by 17 rad/s: are th'):
-        frames_of(write_bag(tmp_path / 'degrees', sent))
+        frames_of(path)
 
 
 def test_what_was_recorded_twice_counts_once(tmp_path):
@@ -211,23 +217,37 @@ def test_what_was_recorded_twice_counts_once(tmp_path):
 
 def test_a_damaged_image_is_left_out_and_reported(tmp_path):
     warnings = []
-    frames = frames_of(write_drive(tmp_path / 'drive', damaged=(2, 5)), warnings.append)
+    path = changed_drive(tmp_path, (m.CAMERA,), m.where(lambda k: k in (2, 5), CUT))
+    frames = frames_of(path, warnings.append)
     assert len(frames) == 8
     (warning,) = warnings
     assert '2 of 10 images left out' in warning
     assert 'does not decode' in warning
 
 
+def tilted_apart(rad_a_step):
+    """Tilts have messages of their own, 10 ms before those of the pan."""
+    number = count()
+
+    def apart(message):
+        alone, k = copy.deepcopy(message), next(number)
+        alone.name, alone.position = message.name[1:], np.array([rad_a_step * (k - 0.2)])
+        message.name, message.position = message.name[:1], message.position[:1]
+        return [m.later(-0.01)(alone), message]
+
+    return apart
+
+
 @pytest.mark.parametrize('step_back_ns', [0, SECOND])
 @pytest.mark.parametrize('tilt_a_step', [0.0, 0.01])
 def test_pan_and_tilt_are_of_the_time_of_the_image(tmp_path, step_back_ns, tilt_a_step):
     """Also where the clock is set back, and where tilts come by themselves."""
-    drive = write_drive(
-        tmp_path / 'drive',
-        set_back=lambda k: step_back_ns if k >= 21 else 0,
-        lone_tilt=(lambda k: tilt_a_step * k) if tilt_a_step else None,
-    )
-    frames = frames_of(drive)
+    begin_ns = START + 21 * SECOND // 20
+    set_back = m.stamps(lambda stamp: stamp - step_back_ns * (stamp >= begin_ns))
+    path = changed_drive(tmp_path, EVERYTHING, set_back)
+    if tilt_a_step:
+        path = rewritten(path, tmp_path / 'apart', (m.JOINTS,), tilted_apart(tilt_a_step))
+    frames = frames_of(path)
     known = 0.2 * np.arange(10) + 0.02
     if step_back_ns:
         # At the moment itself no joint state comes after the image.
@@ -238,15 +258,15 @@ def test_pan_and_tilt_are_of_the_time_of_the_image(tmp_path, step_back_ns, tilt_
 
 
 @pytest.mark.parametrize(
-    ('drive', 'match'),
+    ('topic', 'change', 'match'),
     [
-        ({'damaged': range(10)}, 'does not decode'),
-        ({'info': False}, 'camera/camera_info is missing'),
-        ({'bad': lambda topic, k: topic == 'odom'}, r'/odom: odometry position at .*nan'),
-        ({'late_joints': True}, 'no joint state near it'),
+        (m.CAMERA, CUT, 'does not decode'),
+        (m.INFO, m.nothing, 'camera/camera_info is missing'),
+        (m.ODOMETRY, m.no_number, r'/odom: odometry position at .*nan'),
+        (m.JOINTS, m.later(9.0), 'no joint state near it'),
     ],
 )
-def test_drives_that_cannot_be_used_are_refused(tmp_path, drive, match):
-    bag = Bag(write_drive(tmp_path / 'drive', **drive))
+def test_drives_that_cannot_be_used_are_refused(tmp_path, topic, change, match):
+    bag = Bag(changed_drive(tmp_path, (topic,), change))
     with pytest.raises(LandmarkNavError, match=match):
         list(sensor_events(bag, MOUNT))

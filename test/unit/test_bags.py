@@ -6,54 +6,31 @@ import os
 import shutil
 import sqlite3
 
-from bag_writers import FACTORY, foreign_bag, MOUNT, odometry, SECOND, START, write_drive
+from bag_writers import (
+    FACTORY,
+    foreign_bag,
+    MOUNT,
+    odometry,
+    ros1_bag,
+    ROS2,
+    rosbag2_bag,
+    SECOND,
+    START,
+    write_drive,
+)
 import lz4.frame
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, IndexType
 from mcap.writer import Writer as McapWriter
 import pytest
 from rosbags.rosbag1 import Writer as Ros1Writer
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
-from rosbags.typesys import get_typestore, Stores
+from rosbags.rosbag2 import CompressionMode, StoragePlugin
 import yaml
 import zstandard
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.messages import decode
-from landmark_nav.messages.factory import default_typestore
 from landmark_nav.storage.bags import Bag, BagWriter, container, sensor_events
-
-ROS1, ROS2 = get_typestore(Stores.ROS1_NOETIC), default_typestore()
-
-
-def _copied(source, writer, store, data_of=lambda entry: entry.data):
-    """Write all messages of a bag by another writer."""
-    connections = {}
-    with writer:
-        for entry in Bag(source).messages():
-            if entry.topic not in connections:
-                connections[entry.topic] = writer.add_connection(
-                    entry.topic, entry.type_name, typestore=store
-                )
-            writer.write(connections[entry.topic], entry.stamp_ns, data_of(entry))
-
-
-def rosbag2_bag(source, path, mode=None, storage=StoragePlugin.SQLITE3):
-    """rosbag2, perhaps compressed by rosbag2 itself."""
-    writer = Writer(path, version=9, storage_plugin=storage)
-    if mode is not None:
-        writer.set_compression(mode, CompressionFormat.ZSTD)
-    _copied(source, writer, ROS2)
-    return path
-
-
-def ros1_bag(source, path, compression):
-    """A ROS 1 bag."""
-    writer = Ros1Writer(path)
-    if compression is not None:
-        writer.set_compression(compression)
-    _copied(source, writer, ROS1, lambda entry: ROS2.cdr_to_ros1(entry.data, entry.type_name))
-    return path
 
 
 def mcap_file(

@@ -1,8 +1,8 @@
 """One file of parameters, for nodes and commands, with bounds."""
 
-from pathlib import Path
 from typing import Any
 
+from harness import BAGS
 import pytest
 import yaml
 
@@ -11,7 +11,6 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.parameters import leaves
 from landmark_nav.storage.robot_files import flat, shipped_config
 
-BAGS = Path(__file__).resolve().parents[2] / 'bags'
 ROBOT = BAGS / 'robot.yaml'
 PLAIN = load_configuration(None, ROBOT)
 

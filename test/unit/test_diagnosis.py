@@ -2,14 +2,15 @@
 
 from dataclasses import replace
 import json
-from pathlib import Path
 import re
 
 import cv2
+from drive_faults import rewritten
+from harness import BAGS
 from message_changes import each_second, no_number, nothing
 import numpy as np
 import pytest
-from stream_errors import of_drives, of_sweeps, StreamError, write_drive
+from stream_errors import of_drives, of_sweeps
 
 from landmark_nav.calibration import Calibration
 from landmark_nav.cli.main import main
@@ -46,7 +47,6 @@ from landmark_nav.storage.robot_files import load_calibration, load_robot
 from landmark_nav.storage.setup_files import load_room
 from landmark_nav.types import OdometrySample
 
-BAGS = Path(__file__).resolve().parents[2] / 'bags'
 CAMERA = CameraModel(320, 240, 300.0, 300.0, 159.5, 119.5)
 
 
@@ -221,7 +221,7 @@ SOME = (
 @pytest.mark.parametrize('name', SOME)
 def test_the_cause_is_named_in_a_recorded_drive(name, tmp_path):
     error = NAMED[name]
-    bag = Bag(write_drive(Bag(BAGS / 'drive'), tmp_path / 'drive', error))
+    bag = Bag(error.write(BAGS / 'drive', tmp_path / 'drive'))
     mount, room = load_robot(BAGS / 'robot.yaml'), load_room(BAGS / 'room.yaml')
     known = Calibration.of_mount(error.robot(mount) if error.robot else mount)
     found = diagnose(bag, known, room)
@@ -260,7 +260,7 @@ def test_a_good_recording_passes(recording, tmp_path, capsys):
 @pytest.mark.parametrize('name', ['pan reversed', 'pan in degrees'])
 def test_learning_refuses_what_it_cannot_calibrate(name, tmp_path, capsys):
     error = of_sweeps()[name]
-    bag = write_drive(Bag(BAGS / 'learn'), tmp_path / 'learn', error)
+    bag = error.write(BAGS / 'learn', tmp_path / 'learn')
     files = ['--room', str(BAGS / 'room.yaml'), '--robot', str(BAGS / 'robot.yaml')]
     assert main(['learn', str(bag), *files, '--out', str(tmp_path / 'map')]) == 1
     reported = capsys.readouterr().err
@@ -275,14 +275,8 @@ def test_degrees_as_the_mount_of_a_camera_are_refused(tmp_path):
     assert main(['check', str(BAGS / 'drive'), '--robot', str(robot)]) == 1
 
 
-def altered(tmp_path, topic, change):
-    """The recorded drive with the messages of one topic changed."""
-    error = StreamError((topic,), change, '')
-    return write_drive(Bag(BAGS / 'drive'), tmp_path / 'drive', error)
-
-
 def test_a_bag_without_images_is_refused(tmp_path, capsys):
-    bag = altered(tmp_path, 'camera/image_raw/compressed', nothing)
+    bag = rewritten(BAGS / 'drive', tmp_path / 'drive', ('camera/image_raw/compressed',), nothing)
     assert main(['check', str(bag)]) == 1
     assert 'camera/image_raw' in capsys.readouterr().err
 
@@ -293,7 +287,7 @@ def test_odometry_may_be_of_the_footprint(frame, fits, tmp_path):
         message.child_frame_id = frame
         return message
 
-    bag = Bag(altered(tmp_path, 'odom', about))
+    bag = Bag(rewritten(BAGS / 'drive', tmp_path / 'drive', ('odom',), about))
     mount = load_robot(BAGS / 'robot.yaml')
     found = diagnose(bag, Calibration.of_mount(mount), most_images=QUICK)
     assert [f.name for f in (*found.errors, *found.warnings)] == ([] if fits else ['frames'])
@@ -303,8 +297,8 @@ def test_odometry_may_be_of_the_footprint(frame, fits, tmp_path):
 
 
 def test_damaged_messages_are_counted(tmp_path):
-    bag = Bag(altered(tmp_path, 'joint_states', each_second(no_number)))
-    found = diagnose(bag, load_calibration(BAGS / 'robot.yaml'))
+    path = rewritten(BAGS / 'drive', tmp_path / 'drive', (JOINTS,), each_second(no_number))
+    found = diagnose(Bag(path), load_calibration(BAGS / 'robot.yaml'))
     assert 'reading' in [finding.name for finding in found.warnings]
     assert not found.errors
 

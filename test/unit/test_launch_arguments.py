@@ -9,12 +9,12 @@ import sys
 from types import ModuleType
 from typing import Any, ClassVar
 
+from harness import REPOSITORY
 import pytest
 import yaml
 
 from landmark_nav.configuration import Configuration, READS
 
-REPOSITORY = Path(__file__).resolve().parents[2]
 LAUNCH_FILES = sorted((REPOSITORY / 'landmark_nav' / 'launch').glob('*.launch.py'))
 
 

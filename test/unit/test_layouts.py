@@ -1,11 +1,11 @@
 """Layouts of RViz, Foxglove and PlotJuggler, and what markers show in them."""
 
 import json
-from pathlib import Path
 from typing import Any
 import xml.etree.ElementTree as ElementTree
 
 from builders import bare_landmark, detections_of
+from harness import REPOSITORY
 import numpy as np
 import pytest
 from rosbags.interfaces import Nodetype
@@ -21,7 +21,7 @@ from landmark_nav.storage.bags.definitions import TOPIC_TYPES
 from landmark_nav.types import LandmarkMap, PoseEstimate, Triplet
 
 STORE = default_typestore()
-CONFIG = Path(__file__).resolve().parents[2] / 'config'
+CONFIG = REPOSITORY / 'config'
 TYPES = {**TOPIC_TYPES, '/diagnostics': 'diagnostic_msgs/msg/DiagnosticArray'}
 # What a display of RViz or a panel of Foxglove shows.
 RVIZ = {

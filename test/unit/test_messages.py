@@ -140,30 +140,6 @@ def test_what_is_sent_comes_back(deliver, sent, write, read):
     assert_same(read(*map(deliver, messages), *mount), sent, rtol=1e-6)
 
 
-def test_a_trajectory_before_its_start_is_refused():
-    message = over_the_wire(encode.sweep_trajectory(FACTORY, JOINTS, MOUNT))
-    message.points[1].time_from_start.sec = -5
-    with pytest.raises(LandmarkNavError, match='time_from_start'):
-        decode.sweep_trajectory(message, MOUNT)
-
-
-def test_parts_that_do_not_belong_together_are_refused():
-    camera_image, info, pose = encode.panorama(FACTORY, some_panorama())
-    info.distortion_model = 'plumb_bob'
-    with pytest.raises(LandmarkNavError, match='plumb_bob'):
-        decode.panorama(camera_image, info, pose)
-    pose.header = encode.header(FACTORY, STAMP + 1, 'map')
-    with pytest.raises(LandmarkNavError, match='comes with'):
-        decode.panorama(camera_image, info, pose)
-    cloud, atlas, _ = encode.landmark_map(FACTORY, some_map(3, 2), STAMP)
-    atlas.header = pose.header
-    with pytest.raises(LandmarkNavError, match='different maps'):
-        decode.landmark_map(cloud, atlas)
-    nothing = np.zeros(0, dtype=GLOBAL_POSE.fields)
-    with pytest.raises(LandmarkNavError, match='names no landmark'):
-        decode.global_pose(pack_cloud(FACTORY, pose.header, nothing))
-
-
 def test_factory_refuses_fields_that_do_not_exist():
     with pytest.raises(TypeError, match='colour'):
         FACTORY('sensor_msgs/msg/Image', colour=1)
@@ -337,31 +313,6 @@ def test_poses_without_a_covariance_are_refused(wrong):
         decode.pose_estimate(encode.pose(FACTORY, estimate))
 
 
-@pytest.mark.parametrize('positions', [['a', 'b'], [None, None], [np.nan, 0.0], [1e300, 0.0], []])
-def test_joints_that_hold_no_angles_are_refused(positions):
-    msg = encode.joint_state(FACTORY, JointSample(STAMP, 0.1), MOUNT)
-    msg.position = positions
-    for names in (msg.name, [MOUNT.tilt_joint, 'wheel_left']):
-        msg.name = names
-        with pytest.raises(LandmarkNavError, match='joint_states position'):
-            decode.joint_angles(msg, MOUNT)
-
-
-def test_joints_that_are_named_twice_are_refused():
-    msg = encode.joint_state(FACTORY, JointSample(STAMP, 0.1), MOUNT)
-    msg.name, msg.position = [MOUNT.pan_joint, *msg.name], [0.4, *msg.position]
-    with pytest.raises(LandmarkNavError, match='twice'):
-        decode.joint_angles(msg, MOUNT)
-
-
-@pytest.mark.parametrize(('sec', 'nanosec'), [(-1, 0), (0, 2 * 10**9), ('now', 0), (np.nan, 0)])
-def test_stamps_that_are_no_time_are_refused(sec, nanosec):
-    msg = encode.odometry(FACTORY, OdometrySample(STAMP, np.zeros(3)))
-    msg.header.stamp.sec, msg.header.stamp.nanosec = sec, nanosec
-    with pytest.raises(LandmarkNavError):
-        decode.odometry(msg)
-
-
 def landmarks(**changed):
     """Messages of a map in which one landmark is changed."""
     first, *others = some_map(5, 2).landmarks
@@ -409,18 +360,56 @@ def test_what_learning_can_not_have_found_is_refused(at, value):
     assert len(str(refused.value)) < 200
 
 
-def test_panoramas_of_another_size_or_shape_are_refused():
-    messages = encode.panorama(FACTORY, calibrated_panorama())
-    decode.panorama(*messages)
-    calibrated = np.array(messages[1].d)
-    for attribute, wrong in {
-        'width': (2**32 - 1, 0),
-        'height': (2**32 - 1,),
-        'k': (np.full(9, np.nan), np.full(9, 1e300), np.zeros(9), np.zeros(4)),
-        'd': (np.zeros(5), np.full_like(calibrated, np.nan), -abs(calibrated)),
-    }.items():
-        for value in wrong:
-            camera_image, info, pose = deepcopy(messages)
-            setattr(info, attribute, value)
-            with pytest.raises(LandmarkNavError):
-                decode.panorama(camera_image, info, pose)
+TRAJECTORY = (encode.sweep_trajectory(FACTORY, JOINTS, MOUNT),)
+PANORAMA = encode.panorama(FACTORY, calibrated_panorama())
+MAP = encode.landmark_map(FACTORY, some_map(3, 2), STAMP)[:2]
+LATER = encode.header(FACTORY, STAMP + 1, 'map')
+ANGLES = (encode.joint_state(FACTORY, JointSample(STAMP, 0.1), MOUNT),)
+TILT_ALONE = deepcopy(ANGLES)
+TILT_ALONE[0].name = [MOUNT.tilt_joint, 'wheel_left']
+PLACE = (values(GLOBAL_POSE),)
+NOT_ANGLES = [['a', 'b'], [None, None], [np.nan, 0.0], [1e300, 0.0], []]
+
+
+def joint_angles(msg):
+    return decode.joint_angles(msg, MOUNT)
+
+
+@pytest.mark.parametrize(
+    ('read', 'sent', 'field', 'wrong', 'match'),
+    [
+        (
+            lambda msg: decode.sweep_trajectory(msg, MOUNT),
+            *(TRAJECTORY, '0.points.1.time_from_start.sec', [-5], 'time_from_start'),
+        ),
+        (joint_angles, ANGLES, '0.position', NOT_ANGLES, 'joint_states position'),
+        (joint_angles, TILT_ALONE, '0.position', NOT_ANGLES, 'joint_states position'),
+        (joint_angles, ANGLES, '0.name', [[MOUNT.pan_joint] * 2], 'twice'),
+        (decode.odometry, (encode.odometry(FACTORY, ODOMETRY),), '0.header.stamp.sec',
+         [-1, 'now', np.nan], ''),
+        (decode.odometry, (encode.odometry(FACTORY, ODOMETRY),), '0.header.stamp.nanosec',
+         [2 * 10**9], ''),
+        (decode.global_pose, PLACE, '0.width', [0], 'names no landmark'),
+        (decode.landmark_map, MAP, '1.header', [LATER], 'different maps'),
+        (decode.panorama, PANORAMA, '2.header', [LATER], 'comes with'),
+        (decode.panorama, PANORAMA, '1.distortion_model', ['plumb_bob'], 'plumb_bob'),
+        (decode.panorama, PANORAMA, '1.width', [2**32 - 1, 0], ''),
+        (decode.panorama, PANORAMA, '1.height', [2**32 - 1], ''),
+        (decode.panorama, PANORAMA, '1.k',
+         [np.full(9, np.nan), np.full(9, 1e300), np.zeros(9), np.zeros(4)], ''),
+        (decode.panorama, PANORAMA, '1.d',
+         [np.zeros(5), np.full_like(PANORAMA[1].d, np.nan), -np.abs(PANORAMA[1].d)], ''),
+    ],
+)  # fmt: skip
+def test_a_field_that_can_not_be_is_refused(read, sent, field, wrong, match):
+    read(*sent)
+    part, *way, name = field.split('.')
+    for value in wrong:
+        messages = deepcopy(sent)
+        holder = messages[int(part)]
+        for step in way:
+            holder = holder[int(step)] if step.isdigit() else getattr(holder, step)
+        setattr(holder, name, value)
+        with pytest.raises(LandmarkNavError, match=match) as refused:
+            read(*messages)
+        assert len(str(refused.value)) < 200

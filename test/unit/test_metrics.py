@@ -112,7 +112,7 @@ def test_nees_of_nineteen_of_twenty_drives_is_in_its_interval(prior):
     """Errors of map, mount and odometry last for a while, or all the time."""
     inside = []
     for seed in range(30):
-        drive = simulated(seed, prior, seconds=12.0)
+        drive = simulated(seed, prior, seconds=8.0)
         repetition, before = ErrorRepetition(len(drive.poses)), None
 
         def add(joint, moved, repetition=repetition):

@@ -10,11 +10,11 @@ import types
 from typing import Any
 import xml.etree.ElementTree as ElementTree
 
+from harness import REPOSITORY
 import pytest
 
 from landmark_nav.storage import robot_files
 
-REPOSITORY = Path(__file__).resolve().parents[2]
 MANIFEST = ElementTree.parse(REPOSITORY / 'package.xml').getroot()
 
 # rosdep key -> what pip calls it. There is no key for mcap: rosdep users have it from pip, with

@@ -1,9 +1,9 @@
 from collections import Counter
 import json
-from pathlib import Path
 import re
 import shlex
 
+from harness import BAGS, SETUPS
 import numpy as np
 import pytest
 
@@ -91,9 +91,8 @@ def test_sweep_and_drive_are_recorded_as_a_robot_would(world, tmp_path):
 
 
 def test_the_recorded_room_is_drawn_again():
-    bags = Path(__file__).parents[2] / 'bags'
-    assert room_document(generate_scene(7).room) == (bags / 'room.yaml').read_text()
-    assert robot_document(DEFAULT_MOUNT) == (bags / 'robot.yaml').read_text()
+    assert room_document(generate_scene(7).room) == (BAGS / 'room.yaml').read_text()
+    assert robot_document(DEFAULT_MOUNT) == (BAGS / 'robot.yaml').read_text()
 
 
 class TestCommand:
@@ -101,7 +100,7 @@ class TestCommand:
     def test_writes_bags_and_setup(self, tmp_path, capsys, exact):
         out = tmp_path / 'run'
         words = ['--seed', '11', '--frames', '8', '--drive-seconds', '1']
-        calibration = Path(__file__).parents[1] / 'setups' / 'camera_quarter_vga.yaml'
+        calibration = SETUPS / 'camera_quarter_vga.yaml'
         words += ['--camera', str(calibration)]
         words += ['--exact'] if exact else ['--tags', '1.0']
         assert main(['simulate', '--out', str(out), *words]) == 0

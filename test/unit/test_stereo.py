@@ -114,6 +114,8 @@ def test_a_wall_looks_the_same_from_both_places(panoramas, scene):
     truth, _ = scene.look(points + 0.1 * normal, np.broadcast_to(-normal, points.shape))
     for texture in (first, second):
         assert np.abs(texture - truth[..., 0]).mean() < 4.0
+    uncovered = replace(panoramas[0], mask=np.zeros_like(panoramas[0].mask))
+    assert wall_texture(plane_at(point, (40, 60)), uncovered) is None
 
 
 def measurements_and_errors(panoramas):
