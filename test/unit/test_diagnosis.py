@@ -449,3 +449,12 @@ def test_odometry_that_is_a_little_late_does_not_speak_for_images(odometry_s, st
     late = replace(drive, pan_clock=Clock(0.05), odometry_clock=Clock(odometry_s))
     cause = verdict(replace(drive, turns_rad=measured_anew(late, 3))).cause
     assert (cause.stream, cause.kind) == (stream, 'clock')
+
+
+@pytest.mark.parametrize('odometry_s', [-0.3, -0.1, 0.15])
+def test_a_clock_of_odometry_is_found_beside_joints_that_are_late(odometry_s, drive):
+    late = replace(drive, pan_clock=Clock(0.02), odometry_clock=Clock(odometry_s))
+    cause = verdict(replace(drive, turns_rad=measured_anew(late, 3))).cause
+    assert (cause.stream, cause.kind) == (ODOMETRY, 'clocks')
+    assert cause.value == pytest.approx(odometry_s, abs=0.02)
+    assert cause.offset_s == pytest.approx(0.02, abs=0.005)
