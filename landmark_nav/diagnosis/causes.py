@@ -159,7 +159,7 @@ def verdict(
 
 
 def _with_odometry(cause: Cause, most: float) -> float:
-    """Score of a cause, up to `most`, if odometry has a usual error beside joints that are late."""
+    """Score, up to `most`, if odometry has a usual clock error beside joints that are late."""
     if cause.stream != JOINTS or cause.motion.odometry is None:
         return cause.score
     off, sigma = linear(cause.motion).odometry_clock_s
