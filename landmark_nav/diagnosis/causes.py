@@ -168,8 +168,10 @@ def _with_odometry(cause: Cause, most: float) -> float:
 
 
 def late_odometry(motion: Motion, hints: Iterable[Clock]) -> float:
-    """Delay of the stamps of odometry, s, with which it explains the images."""
-    return _polished(_offset(motion, ODOMETRY, _first_offset(motion, ODOMETRY, list(hints)))).value
+    """Delay of the stamps of odometry, s: another than given only if it is certain."""
+    now = _clock_cause(motion, ODOMETRY, 'clock', motion.odometry_clock)
+    found = _polished(_offset(motion, ODOMETRY, _first_offset(motion, ODOMETRY, list(hints))))
+    return found.value if found.score > now.score + CERTAIN else now.value
 
 
 def _polished(cause: Cause) -> Cause:
