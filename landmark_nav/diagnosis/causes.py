@@ -134,20 +134,20 @@ def verdict(
     if best.score < none.score + CERTAIN or not linear(best.motion).quiet:
         best = none
     alike = [c for c in found if c.score > best.score - ALIKE]
-    clocks = [cause for cause in found if cause.kind == 'clock' and linear(cause.motion).quiet]
+    offsets = [cause for cause in found if cause.kind == 'clock' and linear(cause.motion).quiet]
 
-    def likeliest(clocks: Iterable[Cause], best: Cause) -> Cause:
-        scores = [(_with_odometry(cause, best.score), cause) for cause in clocks]
+    def likeliest(causes: Iterable[Cause], best: Cause) -> Cause:
+        scores = [(_with_odometry(cause, best.score), cause) for cause in causes]
         enough = [one for one in scores if one[0] > best.score - ALIKE]
         return max(enough, key=lambda one: one[0], default=(0.0, best))[1]
 
     if best.kind in CLOCKS:
         # Two parameters have to explain the data better than one, beyond doubt.
-        best = likeliest(clocks, best)
+        best = likeliest(offsets, best)
     delayed = (IMAGES, *CLOCKS), (JOINTS, 'filter')
     if any(best.stream == stream and best.kind in kinds for stream, *kinds in delayed):
         # All delay the pan against the images; robot.yaml expects it of the clock of the joints.
-        best = likeliest((c for c in clocks if c.stream == JOINTS), best)
+        best = likeliest((c for c in offsets if c.stream == JOINTS), best)
     best = _polished(best)
     # Faults of one clock are not different ones.
     fault = best.stream, best.kind in CLOCKS
@@ -313,7 +313,8 @@ def _scales(motion: Motion) -> Iterator[Cause]:
 
 
 def _clocks(motion: Motion, hints: Mapping[str, Iterable[Clock]]) -> Iterator[Cause]:
-    few, of_joints = motion, []
+    few = motion
+    of_joints: list[Clock] = []
     if len(motion) > _PAIRS:
         chosen = np.zeros(len(motion), dtype=np.bool_)
         chosen[np.linspace(0, len(motion) - 1, _PAIRS).astype(np.intp)] = True
