@@ -68,15 +68,15 @@ def shown(value: object) -> str:
     return _shortened(_REPR.repr(value), _PART_LENGTH)
 
 
-def one_line(text: str) -> str:
-    """Text as one line of at most 200 printable characters; whole parts are left out of others."""
+def one_line(text: str, length: int = _LINE_LENGTH) -> str:
+    """Text as one line of at most `length` printable characters; whole parts are cut first."""
     # Between colons: first folders, then clauses and parentheses, of the end, the remedy, later.
     parts = _printable(text).split(': ')
     everywhere = range(len(parts))
     details, end = everywhere[:-1], everywhere[-1:]
     steps = [((_without_folder,), details), (_WHOLE, details), (_WHOLE, end)]
     for makers, chosen in [*steps, ((_without_word,), everywhere), ((_shorter,), everywhere)]:
-        while (excess := len(': '.join(parts)) - _LINE_LENGTH) > 0:
+        while (excess := len(': '.join(parts)) - length) > 0:
             made = [(k, make(parts[k])) for k in chosen for make in makers]
             less = [(len(parts[k]) - len(part), k, part) for k, part in made if part != parts[k]]
             if not less:
@@ -85,7 +85,7 @@ def one_line(text: str) -> str:
             enough = [one for one in less if one[0] >= excess]
             _, k, parts[k] = min(enough) if enough else max(less)
     line = ': '.join(parts)
-    return line if len(line) <= _LINE_LENGTH else line[: _LINE_LENGTH - 1] + '…'
+    return line if len(line) <= length else line[: length - 1] + '…'
 
 
 def _printable(text: str) -> str:

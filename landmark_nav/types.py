@@ -335,6 +335,13 @@ class LandmarkMap:
         return 'frame' in self.provenance
 
     @cached_property
+    def focal_px(self) -> float:
+        """Focal length in pixels of the panoramas with the reference views; NaN without any."""
+        away = [np.hypot(*(k.viewpoint - k.position)[:2]) / k.height_m for k in self.landmarks]
+        rows = [k.patch.shape[0] for k in self.landmarks]
+        return float(np.median(np.multiply(rows, away))) if rows else np.nan
+
+    @cached_property
     def distinct(self) -> LandmarkMap:
         """The map without edges, which are also found where they are not."""
         return replace(self, landmarks=tuple(k for k in self.landmarks if not k.edge))

@@ -175,8 +175,9 @@ def _start(args: argparse.Namespace, landmarks: LandmarkMap) -> tuple[Any, Any]:
     if room is not None and not room.contains(start[:2]):
         beyond = float(room.wall_distances(start[:2]).min())
         if beyond > 3.0 * position:
+            own = ' (base_link at the first sweep)' if landmarks.has_own_frame else ''
             raise UsageError(
                 f'--start {start[0]:g} {start[1]:g} lies {beyond:.2f} m outside the room of '
-                f'{args.map}: give x and y in {landmarks.frame_id}, in metres'
+                f'{args.map}: give x and y in {landmarks.frame_id}{own}, in metres'
             )
     return start, np.diag([position**2, position**2, heading**2])

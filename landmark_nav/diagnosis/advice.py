@@ -102,7 +102,8 @@ def cause_findings(judged: Verdict) -> list[Finding]:
         if cause.stream == JOINTS and cause.value < 0.0 and (IMAGES, 'clock') in kinds:
             late = f'; if images are late, also {-cause.value:+.3f} to image_delay'
             finding = replace(finding, advice=finding.advice + late)
-    return [finding]
+    of_joints = [clock_finding(JOINTS, cause.offset_s)] if cause.kind == 'clocks' else []
+    return [*of_joints, finding]
 
 
 # Least value of a lens or mount error that is of level error: radians, or a share of the focal
@@ -234,7 +235,7 @@ _OTHER_CAUSES = {
 
 def _named(cause: Cause) -> Finding:
     stream, value = cause.stream, cause.value
-    if cause.kind == 'clock':
+    if cause.kind in ('clock', 'clocks'):
         return clock_finding(stream, value)
     if cause.kind == 'drift':
         share, off_s = 100.0 * abs(value), abs(cause.offset_s)

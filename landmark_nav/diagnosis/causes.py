@@ -44,7 +44,7 @@ _NEAR_STEP_S, _FAR_STEP_S, _FAR_S = 0.02, 0.05, 120.0
 _NEAR = np.arange(-3.0, 3.0, _NEAR_STEP_S)
 # Drifts with a smaller effect over the recording are regarded as offsets.
 _LEAST_DRIFT_S = 0.05
-CLOCKS = ('clock', 'drift', 'step')
+CLOCKS = ('clock', 'clocks', 'drift', 'step')
 # Least drift: a clock at less than a tenth of its rate would explain a scale.
 _SLOWEST = -0.9
 # Usual sigma of the clock of odometry.
@@ -53,6 +53,8 @@ _ODOMETRY_S = 0.01
 _POLISH_S = 0.02
 # Least share of the image pairs at whose times the other streams have messages.
 _LEAST_COVERED = 0.3
+# Searches of each of two clocks, in turn.
+_TURNS = 3
 # Number of image pairs in the coarse search, and their noise.
 _PAIRS = 160
 _FIRST_NOISE_RAD = 0.01
@@ -70,14 +72,16 @@ class Cause:
     """
     A fault of a stream (``images``, ``joint_states``, ``odom``) or of the ``pan_axis``.
 
-    Kinds are ``none``, ``scale``, ``clock``, ``drift``, ``step``, ``joint``, ``speed``, ``filter``
-    and ``heading`` (of the pan), ``twist``, ``bias`` and ``curve`` (of odometry), ``ahead``,
-    ``left``, ``offset`` and ``upside down`` (of the mount).
+    Kinds are ``none``, ``scale``, ``clock``, ``clocks`` (of joints and odometry, each its own),
+    ``drift``, ``step``, ``joint``, ``speed``, ``filter`` and ``heading`` (of the pan), ``twist``,
+    ``bias`` and ``curve`` (of odometry), ``ahead``, ``left``, ``offset`` and ``upside down`` (of
+    the mount).
 
     `motion` is without it; `left` is the regression of its residuals, `score` the log-likelihood
     less the cost of its parameters. `value` is a scale, the offset by which the clock is ahead of
     the others, s, the drift as a share, a step, s, or the error of other kinds; `offset_s` is the
-    offset of a drifting clock or the time of a step; `name` is that of a joint.
+    offset of a drifting clock, the time of a step, or that of the joints of two clocks; `name` is
+    that of a joint.
     """
 
     stream: str
@@ -130,23 +134,33 @@ def verdict(
     if best.score < none.score + CERTAIN or not linear(best.motion).quiet:
         best = none
     alike = [c for c in found if c.score > best.score - ALIKE]
+    offsets = [cause for cause in found if cause.kind == 'clock' and linear(cause.motion).quiet]
+
+    def likeliest(causes: Iterable[Cause], best: Cause) -> Cause:
+        scores = [(_with_odometry(cause, best.score), cause) for cause in causes]
+        enough = [one for one in scores if one[0] > best.score - ALIKE]
+        return max(enough, key=lambda one: one[0], default=(0.0, best))[1]
+
+    if best.kind in CLOCKS:
+        # Two parameters have to explain the data better than one, beyond doubt.
+        best = likeliest(offsets, best)
     delayed = (IMAGES, *CLOCKS), (JOINTS, 'filter')
     if any(best.stream == stream and best.kind in kinds for stream, *kinds in delayed):
         # All delay the pan against the images; robot.yaml expects it of the clock of the joints.
-        of_joints = (c for c in found if (c.stream, c.kind) == (JOINTS, 'clock'))
-        least = best.score - ALIKE
-        best = next((c for c in of_joints if _with_odometry(c, best.score) > least), best)
+        best = likeliest((c for c in offsets if c.stream == JOINTS), best)
     best = _polished(best)
     # Faults of one clock are not different ones.
     fault = best.stream, best.kind in CLOCKS
-    rivals = [c for c in alike if c.kind != 'none' and (c.stream, c.kind in CLOCKS) != fault]
+    # Nor are two, one of which is off by nothing, another one than the other.
+    no_rival = {'none', 'clocks' if best.kind == 'clock' else ''}
+    rivals = [c for c in alike if c.kind not in no_rival and (c.stream, c.kind in CLOCKS) != fault]
     rivals = [] if best.kind == 'none' else rivals
     return Verdict(best, tuple(rivals), linear(best.motion).quiet)
 
 
 def _with_odometry(cause: Cause, most: float) -> float:
-    """Score of a cause, up to `most`, if odometry has a usual error of its clock as well."""
-    if cause.motion.odometry is None:
+    """Score, up to `most`, if odometry has a usual clock error beside joints that are late."""
+    if cause.stream != JOINTS or cause.motion.odometry is None:
         return cause.score
     off, sigma = linear(cause.motion).odometry_clock_s
     better = min(most, cause.score + 0.5 * (off / sigma) ** 2)
@@ -154,20 +168,28 @@ def _with_odometry(cause: Cause, most: float) -> float:
 
 
 def late_odometry(motion: Motion, hints: Iterable[Clock]) -> float:
-    """Delay of the stamps of odometry, s, with which it explains the images."""
-    return _polished(_offset(motion, ODOMETRY, _first_offset(motion, ODOMETRY, list(hints)))).value
+    """Delay of the stamps of odometry, s: another than given only if it is certain."""
+    now = _clock_cause(motion, ODOMETRY, 'clock', motion.odometry_clock)
+    found = _polished(_offset(motion, ODOMETRY, _first_offset(motion, ODOMETRY, list(hints))))
+    return found.value if found.score > now.score + CERTAIN else now.value
 
 
 def _polished(cause: Cause) -> Cause:
-    """Refine the offset of a clock together with small errors of the scales."""
-    for _ in range(2):
+    """Refine the offset of each clock that is off, together with small errors of the scales."""
+    for _ in range(2 if cause.kind in ('clock', 'clocks') else 0):
         motion, slopes = cause.motion, linear(cause.motion)
-        by_odometry = cause.stream == ODOMETRY
-        more = slopes.odometry_clock_s if by_odometry else slopes.pan_clock_s
-        _, clock = motion.stream(ODOMETRY if by_odometry else JOINTS)
-        if cause.kind != 'clock' or more.sigma > _POLISH_S:
-            break
-        cause = _clock_cause(motion, cause.stream, 'clock', clock.later(more.value))
+        pan, odometry = (
+            clock.later(more.value if more.sigma < _POLISH_S else 0.0)
+            for clock, more in (
+                (motion.pan_clock, slopes.pan_clock_s),
+                (motion.odometry_clock, slopes.odometry_clock_s),
+            )
+        )
+        if cause.kind == 'clocks':
+            cause = _two_clocks(motion, pan, odometry)
+        else:
+            clock = odometry if cause.stream == ODOMETRY else pan
+            cause = _clock_cause(motion, cause.stream, 'clock', clock)
     return cause
 
 
@@ -292,6 +314,7 @@ def _scales(motion: Motion) -> Iterator[Cause]:
 
 def _clocks(motion: Motion, hints: Mapping[str, Iterable[Clock]]) -> Iterator[Cause]:
     few = motion
+    of_joints: list[Clock] = []
     if len(motion) > _PAIRS:
         chosen = np.zeros(len(motion), dtype=np.bool_)
         chosen[np.linspace(0, len(motion) - 1, _PAIRS).astype(np.intp)] = True
@@ -309,7 +332,29 @@ def _clocks(motion: Motion, hints: Mapping[str, Iterable[Clock]]) -> Iterator[Ca
             runs = all(found.motion.stream(name)[1].drift > _SLOWEST for name in streams)
             if runs and min(map(found.motion.covered, streams)) > _LEAST_COVERED:
                 yield found
+                if (found.stream, found.kind) == (JOINTS, 'clock'):
+                    of_joints.append(found.motion.pan_clock)
         yield _step(motion, stream)
+    # Joints are often a little late; that must not hide, or look like, a fault of odometry.
+    for pan in of_joints if motion.odometry is not None else ():
+        yield _both(motion, few, pan, list(hints.get(ODOMETRY, ())))
+
+
+def _both(motion: Motion, few: Motion, pan: Clock, hinted: list[Clock]) -> Cause:
+    """Find the likeliest clocks of joints and odometry, one in turn given the other."""
+    odometry = _first_offset(replace(few, pan_clock=pan), ODOMETRY, hinted)
+    for _ in range(_TURNS):
+        given = replace(motion, pan_clock=pan)
+        odometry = _offset(given, ODOMETRY, odometry).motion.odometry_clock
+        given = replace(motion, odometry_clock=odometry)
+        pan = _offset(given, JOINTS, pan).motion.pan_clock
+    return _two_clocks(motion, pan, odometry)
+
+
+def _two_clocks(motion: Motion, pan: Clock, odometry: Clock) -> Cause:
+    changed = replace(motion, pan_clock=pan, odometry_clock=odometry)
+    value, offset_s = odometry.offset_s, pan.offset_s
+    return _cause(ODOMETRY, 'clocks', changed, 2, value, offset_s=offset_s)
 
 
 def _clock_cause(motion: Motion, stream: str, kind: str, clock: Clock) -> Cause:
@@ -393,7 +438,9 @@ def _drift(motion: Motion, stream: str, first: Clock) -> Cause:
     best = minimize(lambda x: -make(x).score, start, method='Nelder-Mead', options=enough)
     found = make(best.x)
     if abs(found.value) * span < _LEAST_DRIFT_S:
-        return replace(found, kind='clock', value=found.offset_s)
+        middle = float(np.mean(motion.before_s))
+        _, clock = found.motion.stream(ODOMETRY if stream == ODOMETRY else JOINTS)
+        return _offset(motion, stream, Clock(float(clock.at(np.array(middle))) - middle))
     return found
 
 

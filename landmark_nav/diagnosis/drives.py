@@ -53,8 +53,8 @@ _LEAST_SIGMA_S = 1e-3
 # Findings that follow from a constant pose, and from a wrong path or heading.
 _OF_POSE = 'odom twist'
 _OF_PATH = ('odom twist, forward', 'camera heading', 'odom unit')
-# Least share of the images at whose times there is ground truth.
-_ENOUGH = 0.8
+# Least share of the images at whose times there is ground truth, and its least delay.
+_ENOUGH, _TRUTH_S = 0.8, 0.05
 # Greatest sigma of an offset by motion; above it, times of recording are used.
 _KNOWN_S = 0.1
 _INFOS = ('camera/camera_info',)
@@ -239,18 +239,21 @@ class DriveChecks:
             if not judged.fits:
                 found = [f for s in streams if (f := parts.coarse_values(s)) is not None] or found
             found += _clocks_by_log(motion, hints, slopes)
-        if cause.kind != 'clock' or not 0.0 < abs(cause.value) <= advice.CORRECTED_S:
+        late_s = {cause.stream: cause.value} if cause.kind == 'clock' else {}
+        if cause.kind == 'clocks':
+            late_s = {ODOMETRY: cause.value, JOINTS: cause.offset_s}
+        if max(map(abs, late_s.values()), default=np.inf) > advice.CORRECTED_S:
             return found, Delays(), False
         by_stream = {IMAGES: 'images_s', JOINTS: 'joints_s', ODOMETRY: 'odometry_s'}
-        delays = Delays(**{by_stream[cause.stream]: cause.value})
-        if cause.stream != ODOMETRY:
+        delays = Delays(**{by_stream[name]: late for name, late in late_s.items()})
+        if {*late_s} != {ODOMETRY}:
             delays = replace(delays, pan_sigma_s=max(slopes.pan_clock_s.sigma, _LEAST_SIGMA_S))
         return found, delays, False
 
     def _truth(self, images: Stream, motion: Motion, clock: Clock) -> list[Finding]:
         """Check the clock of the ground truth, used for metrics only, against a correct one."""
         topic = self._bag.find('ground_truth/odom')
-        if not topic:
+        if not topic or motion.odometry is None:
             return []
         # Only the part of the recording with images counts.
         truth = read_stream(self._bag, 'ground_truth', topic, _odometry_of)
@@ -258,15 +261,17 @@ class DriveChecks:
         if len(truth) < 2:
             return []
         track = _odometry_track(truth, truth.values)
-        known = replace(motion, odometry=track, odometry_clock=clock, yaw_scale=1.0)
-        off = linear(known).odometry_clock_s
-        if known.covered(ODOMETRY) > _ENOUGH and not off.beyond(0.05, _KNOWN_S):
-            return []
+        # Odometry shows the turns of the base as they are, images also how near things are.
+        still = Track(motion.pan.seconds, np.zeros_like(motion.pan.values))
+        known = replace(motion, turns_rad=motion.yawed(), pan=still, odometry=track)
+        known = replace(known, odometry_clock=clock, yaw_scale=1.0)
         hints = stamps.clock_hints(images, {ODOMETRY: truth})[ODOMETRY]
-        late = hints[0].offset_s or hints[1].offset_s
-        if off.sigma < np.inf or abs(late) > _BY_LOG_S:
-            late = late_odometry(known, hints) - clock.offset_s
-        text = f'stamped {abs(late):.2f} s {"late" if late > 0.0 else "early"} against images'
+        late = late_odometry(known, hints) - clock.offset_s
+        if known.covered(ODOMETRY) < _ENOUGH:
+            late = late or hints[0].offset_s or hints[1].offset_s
+        if abs(late) < _TRUTH_S:
+            return []
+        text = f'stamped {abs(late):.2f} s {"late" if late > 0.0 else "early"} against odom'
         advice = 'errors are measured against it: stamp it by the clock of the robot'
         return [Finding('ground_truth clock', 'warning', text, advice, {'late_s': late})]
 

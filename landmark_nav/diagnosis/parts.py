@@ -70,8 +70,8 @@ def _blank_images(looks: Looks) -> Finding | None:
     share = float(np.mean(blank)) if blank else 0.0
     if share < _SOME:
         return None
-    text = f'{sum(blank)} of {len(blank)} show next to nothing: dark, white or covered'
-    advice = 'look at exposure, lens cap and light; localization goes by odometry there'
+    text = f'{sum(blank)} of {len(blank)} have hardly any contrast: dark, white or covered'
+    advice = 'look at exposure, lens cap and light'
     values = {'blank': int(sum(blank)), 'tried': len(blank)}
     level: Level = 'error' if share > _MOST_BLANK else 'warning'
     return Finding('images content', level, text, advice, values)

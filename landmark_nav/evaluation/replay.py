@@ -34,6 +34,8 @@ from landmark_nav.types import (
 _STEP_NS = 500_000_000
 # Time inserted between the last odometry before such a step and the first one after it.
 _GAP_NS = 100_000_000
+# Least resolution of images, as a share of that of the map.
+_RESOLUTION = 0.75
 
 
 class UnknownPlaceError(LandmarkNavError):
@@ -185,6 +187,7 @@ def replay(
     # Index of the last odometry before each image and each ground truth.
     looked_after: list[int] = []
     truth_after: list[int] = []
+    focal_px = np.inf
     begin = time.perf_counter()
     for event in events:
         if isinstance(event, PoseEstimate):
@@ -201,6 +204,7 @@ def replay(
             looked_after.append(len(samples) - 1)
             before = time.perf_counter()
             if isinstance(event, CameraFrame):
+                focal_px = event.camera.fy
                 update = localizer.add_frame(event)
             else:
                 update = localizer.add_detections(event)
@@ -216,9 +220,12 @@ def replay(
     if not samples or not (updates or searched):
         raise LandmarkNavError('the drive holds no image or no odometry: nothing to evaluate')
     if start is None:
+        why = str(refusal)
+        if (share := focal_px / landmark_map.focal_px) < _RESOLUTION:
+            of_map = f'{100.0 * share:.0f} % of the pixels per degree of the map'
+            why = f'they have {of_map}, {100.0 * _RESOLUTION:.0f} % are needed'
         raise UnknownPlaceError(
-            f'the place was not found in {len(searched)} images ({refusal}): is the map of this '
-            'room?'
+            f'the place was not found in {len(searched)} images ({why}): is the map of this room?'
         )
     if not updates:
         raise LandmarkNavError('the place was found in the last image: nothing to evaluate')

@@ -16,7 +16,7 @@ from rclpy.node import Node
 from rclpy.task import Future
 from std_srvs.srv import Trigger
 
-from landmark_nav.errors import LandmarkNavError
+from landmark_nav.errors import LandmarkNavError, one_line
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages import decode, encode
 from landmark_nav.ros.health import Health, Level
@@ -56,7 +56,7 @@ class ServiceDiscovery:
 
     def is_complete(self) -> bool:
         """Whether the server has discovered this node; repeats the call every `_AGAIN_S`."""
-        if self._client is None and (server := self._server()):
+        if self._client is None and (server := self.server()):
             self._client = self._node.create_client(GetParameters, f'{server}/get_parameters')
         ready = self._client is not None and self._client.service_is_ready()
         if ready and time.monotonic() > self._next_s:
@@ -64,7 +64,7 @@ class ServiceDiscovery:
             self._answers.append(self._client.call_async(GetParameters.Request()))
         return any(answer.done() for answer in self._answers)
 
-    def _server(self) -> str:
+    def server(self) -> str:
         """Full name of the node that offers the service; '' while it is unknown."""
         node = self._node
         for name, space in node.get_node_names_and_namespaces():
@@ -82,6 +82,8 @@ _POLL_S = 0.02
 # starts many nodes at once.
 _START_S = 30.0
 _RECORDED_DEPTH = 200
+# Largest length of the reason of a node in an error.
+_REASON_LENGTH = 70
 _LEVELS = {level.value: level.name for level in Level}
 
 
@@ -171,18 +173,18 @@ class RobotClient:
         """Name of a node without the namespace of the client."""
         return full_name.removeprefix(f'{self._node.get_namespace().rstrip("/")}/')
 
-    def wait(self, condition: Callable[[], bool], timeout_s: float, what: str) -> None:
+    def wait(
+        self, condition: Callable[[], bool], timeout_s: float, what: str, of: str = ''
+    ) -> None:
         """
         Handle messages until `condition` is true; `LandmarkNavError` if it takes too long.
 
-        `what` completes "waited 10 s for".
+        `what` completes "waited 10 s for"; `of` is the node that is waited for, if it is known.
         """
         deadline = time.monotonic() + timeout_s
         while not condition():
             if time.monotonic() > deadline:
-                raise LandmarkNavError(
-                    f'waited {timeout_s:g} s for {what}; last heard: {self._last_heard()}'
-                )
+                raise LandmarkNavError(f'waited {timeout_s:g} s for {what}: {self._heard(of)}')
             self._executor.spin_once(timeout_sec=_POLL_S)
             self._watch()
 
@@ -208,18 +210,16 @@ class RobotClient:
         there = f'the service {service} in ROS domain {self._domain_id}'
         self.wait(client.service_is_ready, min(timeout_s, _START_S), there)
         with ServiceDiscovery(self._node, service) as service_discovery:
-            self.wait(
-                service_discovery.is_complete,
-                timeout_s,
-                f'the node of {service} to know its client',
-            )
+            server = self._local(service_discovery.server())
+            known = f'the node of {service} to know its client'
+            self.wait(service_discovery.is_complete, timeout_s, known, server)
         future = client.call_async(Trigger.Request())
 
         def answered() -> bool:
             meanwhile()
             return bool(future.done())
 
-        self.wait(answered, timeout_s, f'an answer of {service}')
+        self.wait(answered, timeout_s, f'an answer of {service}', server)
         self._node.destroy_client(client)
         response = future.result()
         assert response is not None
@@ -282,13 +282,18 @@ class RobotClient:
                     for name, message in transforms.of(topic, data):
                         bag.write(name, message, stamp_ns)
 
-    def _last_heard(self) -> str:
-        """Text: the last reports of the nodes, which often hold the reason; the worst first."""
-        rank = {level: -k for k, level in enumerate(_LEVELS.values())}
+    def _heard(self, of: str) -> str:
+        """Text: the last report of a node, or of the worst one if it is not known."""
+        if of and of not in self.status:
+            return f'no diagnostics of {of}: it hangs, or is stopped'
+        rank = {level: k for k, level in enumerate(_LEVELS.values())}
         others = [(name, status) for name, status in self.status.items() if name != self.name]
-        others.sort(key=lambda one: (rank.get(one[1].level, -len(rank)), one[0]))
-        reasons = [f'{name}: {status.reason}' for name, status in others]
-        return '; '.join(reasons) or 'nothing of any node: is ROS_DOMAIN_ID theirs?'
+        if not others:
+            return 'no diagnostics of any node: is ROS_DOMAIN_ID theirs?'
+        by_level = max(others, key=lambda one: rank.get(one[1].level, len(rank)))
+        name, status = (of, self.status[of]) if of else by_level
+        ago_s = time.monotonic() - status.heard_s
+        return f'{name} said {ago_s:.0f} s ago: {one_line(status.reason, _REASON_LENGTH)}'
 
     def _on_diagnostics(self, message: Any) -> None:
         for status in message.status:

@@ -292,4 +292,7 @@ def _no_map(folder: Path) -> str:
     left = left_over(folder)
     if left is not None:
         return f'no map there: it was being replaced when that was ended; rename {left} to it'
-    return 'no map there (no map.yaml): make one with `landmark-nav learn`'
+    return (
+        'no map there (no map.yaml): make one with `landmark-nav learn` out of a bag, or call '
+        'learn_landmarks, then save_map'
+    )

@@ -8,7 +8,7 @@ import pytest
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.ros.health import Health, Level
 from landmark_nav.ros.node import LandmarkNode
-from landmark_nav.ros.robot_client import RobotClient
+from landmark_nav.ros.robot_client import NodeStatus, RobotClient
 
 
 class Counter(LandmarkNode):
@@ -69,3 +69,16 @@ def test_names_are_seen_from_the_namespace_of_the_client(namespace, name, domain
         with RobotClient(domain_id, spin, namespace=namespace) as client:
             client.wait(lambda: client.status_of(name).reason == 'counting', 20.0, 'its report')
             assert name not in client.unheard()
+
+
+@pytest.mark.parametrize(
+    ('of', 'named'), [('', 'fusion'), ('simulator', 'simulator'), ('localizer', 'localizer')]
+)
+def test_who_waits_in_vain_hears_of_one_node(of, named, domain_id):
+    with RobotClient(domain_id) as client:
+        client.status['simulator'] = NodeStatus('OK', 'running')
+        client.status['fusion'] = NodeStatus('LOST', 'no landmark was found, not one; ' * 20)
+        with pytest.raises(LandmarkNavError, match=f'^waited .* for rain: .*{named}') as refused:
+            client.wait(lambda: False, 0.0, 'rain', of)
+    assert len(str(refused.value)) < 150
+    assert not any(other in str(refused.value) for other in {*client.status} - {named})

@@ -16,7 +16,7 @@ from landmark_nav.calibration import Calibration
 from landmark_nav.cli.main import main
 from landmark_nav.diagnosis import diagnose, QUICK
 from landmark_nav.diagnosis.advice import motion_findings
-from landmark_nav.diagnosis.causes import verdict
+from landmark_nav.diagnosis.causes import late_odometry, verdict
 from landmark_nav.diagnosis.looks import Looks
 from landmark_nav.diagnosis.motion import (
     Clock,
@@ -443,3 +443,23 @@ def test_odometry_that_is_a_little_late_does_not_speak_for_images(odometry_s, st
     late = replace(drive, pan_clock=Clock(0.05), odometry_clock=Clock(odometry_s))
     cause = verdict(replace(drive, turns_rad=measured_anew(late, 3))).cause
     assert (cause.stream, cause.kind) == (stream, 'clock')
+
+
+@pytest.mark.parametrize('odometry_s', [-0.3, -0.1, 0.15])
+def test_a_clock_of_odometry_is_found_beside_joints_that_are_late(odometry_s, drive):
+    late = replace(drive, pan_clock=Clock(0.02), odometry_clock=Clock(odometry_s))
+    cause = verdict(replace(drive, turns_rad=measured_anew(late, 3))).cause
+    assert (cause.stream, cause.kind) == (ODOMETRY, 'clocks')
+    assert cause.value == pytest.approx(odometry_s, abs=0.02)
+    assert cause.offset_s == pytest.approx(0.02, abs=0.005)
+
+
+@pytest.mark.parametrize(
+    ('late_s', 'turning', 'found_s'), [(0.0, 1, 0.0), (0.2, 1, 0.2), (0.2, 0, 0.0)]
+)
+def test_a_clock_is_another_one_only_if_turns_show_it(late_s, turning, found_s, drive):
+    right = track(drive, ODOMETRY, lambda t: replace(t, values=t.values * [1.0, 1.0, turning]))
+    right = track(right, JOINTS, lambda t: replace(t, values=0.0 * t.values))
+    turns = replace(right, odometry_clock=Clock(late_s)).yawed()
+    turns += np.random.default_rng(5).normal(0.0, 1e-3, len(turns))
+    assert late_odometry(replace(right, turns_rad=turns), []) == pytest.approx(found_s, abs=0.02)

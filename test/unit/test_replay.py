@@ -7,7 +7,7 @@ import pytest
 from landmark_nav.calibration import Calibration
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.metrics import error_summary
-from landmark_nav.evaluation.replay import replay, shifts_by_odometry
+from landmark_nav.evaluation.replay import replay, shifts_by_odometry, UnknownPlaceError
 from landmark_nav.evaluation.run_report import run_report, smooth_run, write_tum_files
 from landmark_nav.geometry import se2
 from landmark_nav.geometry.angles import wrap_rad
@@ -92,6 +92,19 @@ def test_report_has_the_keys_of_the_contract_and_is_the_same_run_after_run():
 def test_drives_that_cannot_be_evaluated_are_refused(event_of, pose, words):
     with pytest.raises(LandmarkNavError, match=words):
         run(filter(None, map(event_of, drive())), pose)
+
+
+def test_images_of_a_lower_resolution_than_the_map_are_named():
+    def drive_with(focal_px):
+        camera = CameraModel(160, 120, focal_px, focal_px, 79.5, 59.5)
+        for event in drive():
+            yield replace(event, camera=camera) if isinstance(event, CameraFrame) else event
+
+    learned = a_map()
+    for share, is_said in ((1.1, False), (0.4, True)):
+        with pytest.raises(UnknownPlaceError) as refused:
+            replay(drive_with(share * learned.focal_px), learned, ROBOT, CONFIG)
+        assert ('pixels per degree' in str(refused.value)) == is_said
 
 
 def test_truth_is_never_given_to_the_localizer():
