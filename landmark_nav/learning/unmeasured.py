@@ -17,13 +17,15 @@ from scipy.linalg import block_diag
 from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry import se2
-from landmark_nav.geometry.se2 import rotation
+from landmark_nav.geometry.se2 import cross, rotation
 from landmark_nav.geometry.walls import Room
-from landmark_nav.learning.facades.outline import open_room, room_of
+from landmark_nav.learning.facades.outline import FACADE_SIGMA_M, open_room, room_of
 from landmark_nav.learning.facades.planes import (
     Facade,
     find_facades,
+    FLOOR_M,
     placed_matches,
+    SECTION_M,
     SeenPoints,
 )
 from landmark_nav.learning.pipeline import (
@@ -35,6 +37,7 @@ from landmark_nav.learning.pipeline import (
 from landmark_nav.learning.relative_pose.epipolar import (
     center,
     DIRECTION_SIGMA_RAD,
+    evidence,
     RayPairs,
     STATE,
     TILT_SIGMA_RAD,
@@ -60,8 +63,9 @@ _LEAST_VARIANCE = 1e-10
 PAN_ZERO_SIGMA_RAD = 1e-3
 # Covariance of a pose that is only used for the distances of the walls.
 _KNOWN = np.diag([1e-4, 1e-4, 1e-6])
-# A plan whose walls are farther from those found is in another frame.
-_OTHER_PLAN_M = 0.5
+# Points this near to a wall of a plan are on it or are there by chance, m; odds that are required;
+# scales that are tried, in sigmas, and their number.
+_NEAR_WALL_M, _CONFIRMED, _SCALES, _TRIED = 0.5, np.log(1e3), 2.5, 11
 # Least change of directions for which panoramas are made again: half a pixel; most rounds.
 _SAME_RAD, _ROUNDS = 1e-3, 4
 # Relative sigma of the scale in the adjustment, which keeps it: with a smaller scale relief would
@@ -86,7 +90,8 @@ class Located:
 
     `places` (4 v, 4 v) is the joint covariance of the viewpoints by the sources of the scale, for
     a fixed scale: `poses.scale_sigma` is the sigma of the scale of the whole map. `ties` are the
-    features that panoramas share. `heading_sigma_rad` is that of the pan zero by ``robot.yaml``.
+    features that panoramas share, at `points`. `heading_sigma_rad` is that of the pan zero by
+    ``robot.yaml``.
     """
 
     panoramas: tuple[Panorama, ...]
@@ -95,6 +100,7 @@ class Located:
     places: FloatArray
     poses: RelativePoses
     ties: Ties
+    points: SeenPoints
     heading_sigma_rad: float = PAN_ZERO_SIGMA_RAD
 
     @property
@@ -163,7 +169,7 @@ def locate(
         for p, eye, state in zip(panoramas, eyes, poses.states, strict=True)
     ]
     places = _viewpoints(poses)
-    return Located(tuple(located), tuple(facades), room, places, poses, ties)
+    return Located(tuple(located), tuple(facades), room, places, poses, ties, joined)
 
 
 def locate_sweeps(
@@ -259,15 +265,41 @@ def with_plan(located: Located, plan: Room) -> Located:
     """
     Replace the walls found by those of a plan in the frame of the map.
 
-    Raises `LandmarkNavError`: facades were found, but most are not in the plan.
+    Raises `LandmarkNavError`: a sweep is outside the plan, or what the sweeps see is no evidence
+    of its walls.
     """
-    middles = np.array([0.5 * (facade.start + facade.end) for facade in located.facades])
-    if len(middles) and np.median(plan.wall_distances(middles).min(axis=1)) > _OTHER_PLAN_M:
+    eyes, sigma = center(located.poses.states)[:, :2], located.poses.scale_sigma
+    points = located.points.chosen(located.points.positions[:, 2] > FLOOR_M)
+    seen = points.positions[:, :2] - eyes[0]
+    likely = [
+        _on_walls(eyes[0] + (1.0 + k * sigma) * seen, plan) - 0.5 * k**2
+        for k in np.linspace(-_SCALES, _SCALES, _TRIED)
+    ]
+    if not plan.contains(eyes).all() or max(likely) < _CONFIRMED:
         raise LandmarkNavError(
-            'the walls of the room file are not where the sweeps see walls: without papers and '
-            'sweep/pose its origin is base_link at the first sweep, as in the file of --walls-out'
+            'the sweeps do not see the walls of the room file there: without papers its origin is '
+            'base_link at the first sweep, as in --walls-out; correct it, or leave --room out'
         )
     return replace(located, room=plan)
+
+
+def _on_walls(points_xy: FloatArray, plan: Room) -> float:
+    """Evidence that points (n, 2) lie on walls; those of one section of a wall count as one."""
+    distances = plan.wall_distances(points_xy)
+    near = distances.min(axis=1) < _NEAR_WALL_M
+    wall, points = distances[near].argmin(axis=1), points_xy[near]
+    if not len(points):
+        return 0.0
+    normal = plan.normals[wall, :2]
+    way = points - np.array([w.start for w in plan.walls])[wall]
+    along = np.floor(cross(way, normal) / SECTION_M)
+    key = np.stack([wall, along], 1)
+    _, first, section = np.unique(key, axis=0, return_index=True, return_inverse=True)
+    off = np.sum(way * normal, axis=1)
+    middle = np.array([np.median(off[section.ravel() == k]) for k in range(len(first))])
+    given = np.array([w.sigma_m or 0.0 for w in plan.walls])
+    sigma = np.hypot(FACADE_SIGMA_M, given[wall[first]])
+    return evidence(middle / sigma, _NEAR_WALL_M / sigma)
 
 
 def learn_located(

@@ -13,6 +13,7 @@ from landmark_nav.cli.main import main
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.learning_report import truth_of_bag
 from landmark_nav.geometry import se2
+from landmark_nav.learning.facades.planes import SeenPoints
 from landmark_nav.learning.unmeasured import with_plan
 from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.setup_files import load_room
@@ -72,8 +73,11 @@ def test_the_walls_found_can_be_corrected_and_given(learned, tmp_path):
 
 def test_a_plan_in_another_frame_is_refused(learned):
     walls = load_room(learned[1] / 'room.yaml').walls
-    facades = [SimpleNamespace(start=np.array(w.start), end=np.array(w.end)) for w in walls]
-    found: Any = SimpleNamespace(facades=facades)
+    share = np.linspace(0.0, 1.0, 40)[:, None]
+    xy = np.vstack([w.start + share * np.subtract(w.end, w.start) for w in walls])
+    points = SeenPoints(np.column_stack([xy, np.full(len(xy), 1.5)]), *np.zeros((2, len(xy))))
+    poses = SimpleNamespace(states=np.zeros((1, 6)), scale_sigma=0.03)
+    found: Any = SimpleNamespace(points=points, poses=poses)
     with pytest.raises(LandmarkNavError, match='first sweep'):
         with_plan(found, load_room(BAGS / 'room.yaml'))
 

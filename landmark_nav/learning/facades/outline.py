@@ -28,7 +28,7 @@ from landmark_nav.types import FloatArray
 
 _RAYS = 1440
 # Least height of walls, m: their tops are not observed; sigma of a facade before adjustment, m.
-_HEIGHT_M, _SIGMA_M = 2.5, 0.03
+_HEIGHT_M, FACADE_SIGMA_M = 2.5, 0.03
 # A room without facades: number of its walls, their least distance beyond the viewpoints, its
 # distance beyond its points, and the share of points inside it.
 _OPEN_WALLS, _OPEN_M, _BEYOND_M, _OPEN_SHARE = 12, 1.0, 0.1, 0.98
@@ -91,9 +91,9 @@ def _closed(corners: Sequence[tuple[FloatArray, int]], height: float) -> Room:
     if len(corners) >= 3:
         walls = []
         for k, (start, facade) in enumerate(corners):
-            name, sigma = f'facade{facade + 1}', _SIGMA_M
+            name, sigma = f'facade{facade + 1}', FACADE_SIGMA_M
             if facade < 0:
-                name, sigma = 'gap', 3.0 * _SIGMA_M
+                name, sigma = 'gap', 3.0 * FACADE_SIGMA_M
             end, _ = corners[(k + 1) % len(corners)]
             first, last = ((float(p[0]), float(p[1])) for p in (start, end))
             walls.append(Wall(f'{name}_{k + 1}', first, last, height, sigma))

@@ -101,7 +101,7 @@ _TURN_RAD, _NOTHING = 0.15, 1e-9
 # Prior of a line at no right angle to the others, relative to one that is within this angle, rad.
 _OBLIQUE, _RIGHT_RAD = 0.5, 0.02
 # Length of a section of a wall, in which all points are equally far from it, m.
-_SECTION_M = 0.6
+SECTION_M = 0.6
 # Lower points belong to the floor.
 FLOOR_M = 0.08
 _REFITS = 4
@@ -265,7 +265,7 @@ def _line(
         miss = off @ normal
         variance = _variance(members, normal)
         # What hangs in one section of a wall is equally far from it.
-        section = np.unique(np.floor(off @ along / _SECTION_M), return_inverse=True)[1]
+        section = np.unique(np.floor(off @ along / SECTION_M), return_inverse=True)[1]
         alike = np.bincount(section)[section] * _RELIEF_M**2
         weight = (1.0 + miss**2 / variance / 4.0) ** -2.0 / (variance + alike)
     return middle, along, turn

@@ -142,12 +142,12 @@ def _cross(first: FloatArray, second: FloatArray) -> FloatArray:
     return np.array([b * f - c * e, c * d - a * f, a * e - b * d])
 
 
-def evidence(off: FloatArray, band: float) -> float:
+def evidence(off: FloatArray, band: float | FloatArray) -> float:
     """
-    Log-likelihood ratio of a pose to chance by the residuals (m,) of matches, in sigmas.
+    Log-likelihood ratio to chance by residuals (m,) within a band of this half width, in sigmas.
 
-    Matches by chance are uniform within the band, others have a normal distribution; their share
-    is the most likely one.
+    Those by chance are uniform within the band, others have a normal distribution; their share is
+    the most likely one.
     """
     density = np.exp(-0.5 * off**2) / np.sqrt(2.0 * np.pi)
     ratio = np.multiply.outer(2.0 * band * density - 1.0, _SHARES)
