@@ -16,6 +16,7 @@ import numpy as np
 from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.walls import Room
+from landmark_nav.learning.adjustment.depth_from_scale import depth_from_scale
 from landmark_nav.learning.adjustment.problem import AdjustmentConfig, CALIBRATED
 from landmark_nav.learning.adjustment.solution import adjust, Adjustment
 from landmark_nav.learning.adjustment.wall_fit import (
@@ -150,6 +151,10 @@ def learn_from_panoramas(
             hidden = check_walls(free, behind, room, config.adjustment)
         adjustment = adjusted_by(config.adjustment)
         residuals = wall_residuals(adjustment, found.walls, room, config.adjustment)
+        adjustment, free = depth_from_scale(
+            adjustment, free, found.measurements, found.normals, config.adjustment,
+            config.election.max_depth_sigma_m,
+        )  # fmt: skip
     uneven = wall_warnings(residuals, adjustment.hanging_sigma_m, config.adjustment)
     warning = '; '.join(filter(None, [hidden, uneven]))
     if warning:

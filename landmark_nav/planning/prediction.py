@@ -19,6 +19,7 @@ import numpy.typing as npt
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.patches import observed_well
 from landmark_nav.geometry.walls import Room
+from landmark_nav.learning.adjustment.depth_from_scale import INFORMATIVE
 from landmark_nav.learning.adjustment.problem import AdjustmentConfig
 from landmark_nav.learning.reference_area.common_errors import joined
 from landmark_nav.localization.triangulation.model import bearing_gradients
@@ -145,8 +146,9 @@ def _position_sigma(information: FloatArray, enough: npt.NDArray[np.bool_]) -> F
 # assumption.
 _MATCH_PROBABILITY = 0.97
 _MATCH_HALF_RAD, _MATCH_SLOPE_RAD = 1.4, 0.12
-# Sigma of the position of a match, pixels.
+# Sigmas of a match: position, pixels, and relative size.
 _MATCH_SIGMA_PX = 0.08
+_MATCH_SIGMA_SIZE = 3e-3
 # Share of the reconstructed patches that no more salient one overlaps.
 _KEPT_SHARE = 0.65
 # Bound to which localization errors are clipped in the cost.
@@ -262,7 +264,10 @@ class Predictor:
         parallax = np.abs(wrap_rad(azimuth[:, None] - azimuth))
         fall = (parallax - _MATCH_HALF_RAD) / _MATCH_SLOPE_RAD
         found = _MATCH_PROBABILITY / (1.0 + np.exp(np.clip(fall, -50.0, 50.0)))
-        found[parallax < config.stereo.min_parallax_rad] = 0.0
+        reach = views.range_m[places]
+        approach = np.maximum(reach[:, None], reach) / np.minimum(reach[:, None], reach)
+        in_line = parallax < config.stereo.min_parallax_rad
+        found[in_line & (approach < config.stereo.min_approach)] = 0.0
         found[self._depth_sigma(places, parallax) > config.election.max_depth_sigma_m] = 0.0
         found[~self._alike[places[:, None], places]] = 0.0
         itself = np.arange(len(places))
@@ -290,8 +295,14 @@ class Predictor:
         samples, reach = self._samples, self._views.range_m[places]
         way = self._views.eye[places, None, :2] - samples.xy
         cosine = np.sum(way * samples.normal, -1) / reach
-        # Variance of the intersection of two rays.
+        # By parallax: variance of the intersection of two rays.
         ray = reach[:, None] * cosine[None]
         square = (ray**2 + np.swapaxes(ray, 0, 1) ** 2) * self._variance
-        information = np.sin(parallax_rad) ** 2 / np.maximum(square, 1e-12)
+        # By the ratio of sizes, which also works without parallax.
+        config = self._config
+        size_sigma = np.hypot(_MATCH_SIGMA_SIZE, config.adjustment.nearness_sigma)
+        nearness = 1.0 / np.maximum(reach * cosine, 1e-3)
+        by_size = (nearness[:, None] - nearness) / size_sigma
+        by_size[np.abs(by_size) * INFORMATIVE * config.election.max_depth_sigma_m < 1.0] = 0.0
+        information = np.sin(parallax_rad) ** 2 / np.maximum(square, 1e-12) + by_size**2
         return np.asarray(1.0 / np.sqrt(np.maximum(information, 1e-12)))

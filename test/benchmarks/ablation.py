@@ -38,7 +38,7 @@ def _nothing(*_, **__):
 
 # Name -> what is put in place of what: a constant, a field of a configuration, a function.
 LEARNING: dict[str, dict[str, Any]] = {
-    'sizes off the walls': {f'{_WALL}log_magnification': lambda *_: None},
+    'depth from sizes': {f'{_WALL}log_nearer': lambda *_: (0.0, np.inf)},
     'quarters of a patch': {f'{_WALL}displaced_quarter': lambda *_: 0.0},
     'way back': {f'{_WALL}_MAX_RETURN_PX': BEST},
     'one peak (stereo)': {f'{_LEARN}stereo.wall_patch:StereoConfig.max_second_ratio': 1.0},

@@ -41,6 +41,8 @@ class AdjustmentConfig(Config):
     azimuth_sigma_rad: float = 1.5e-4
     # Sigma that a panorama adds to each tangent of elevation.
     tangent_sigma: float = 1e-3
+    # Sigma that two panoramas add to the log ratio of their distances by depth from scale.
+    nearness_sigma: float = 1.5e-3
     # Sigma of the tilt of each sweep's pan axis; 0 does not estimate it.
     tilt_sigma_rad: float = 0.0
     # Sigma of errors that azimuths of one panorama share, in waves of a quarter turn and longer; 0

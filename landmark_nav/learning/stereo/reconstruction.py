@@ -271,7 +271,7 @@ class _Search:
                     position = center + share * (patch.position - center)
                     patch = replace(patch, position=position, texel_m=share * patch.texel_m)
                     best = worth, turn, exact, patch
-                    sized = bool(np.isfinite(found.sigma_log_larger))
+                    sized = bool(np.isfinite(found.sigma_log_nearer))
             if best is None or finer is None:
                 break
             _, turn, distance, _ = best
@@ -298,8 +298,10 @@ class _Search:
         found = compare(patch, self._other, self._panoramas, close)
         if isinstance(found, Refusal):
             return found
-        if abs(found.log_larger) > _SIZE_SIGMAS * np.hypot(_SIZE_SIGMA, found.sigma_log_larger):
-            detail = f'by {100.0 * abs(found.log_larger):.0f} %'
+        ratio = patch.reach_m(self._here) / patch.reach_m(self._there)
+        missed = abs(found.log_nearer - float(np.log(ratio)))
+        if missed > _SIZE_SIGMAS * np.hypot(_SIZE_SIGMA, found.sigma_log_nearer):
+            detail = f'by {100.0 * missed:.0f} %'
             return Refusal('size contradicts depth', detail, RefusalCode.WRONG_SIZE)
         return found
 

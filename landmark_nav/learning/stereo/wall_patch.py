@@ -37,6 +37,8 @@ class StereoConfig(Config):
     max_incidence_rad: float = 1.15
     # Least angle between two views of a landmark.
     min_parallax_rad: float = 0.04
+    # Least ratio of ranges of two views in line, for depth from scale.
+    min_approach: float = 1.25
     # Range of the search behind the wall and in front of it.
     behind_wall_m: float = 0.15
     before_wall_m: float = 0.5
@@ -88,8 +90,8 @@ class PatchMeasurement:
     """
     Direction of a patch in a panorama: azimuth in its base frame, tangent, their sigmas.
 
-    `log_larger` is the logarithm of its size, relative to that expected on its plane, if it is
-    measured: off the walls.
+    `log_nearer` is the depth from scale: the logarithm of the distance of the proposing panorama
+    from the patch's plane over that of this panorama.
     """
 
     panorama: int
@@ -98,8 +100,8 @@ class PatchMeasurement:
     sigma_azimuth_rad: float
     sigma_tangent: float
     score: float
-    log_larger: float = 0.0
-    sigma_log_larger: float = np.inf
+    log_nearer: float = 0.0
+    sigma_log_nearer: float = np.inf
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,8 +10,9 @@ short straight line.
 and a patch around it has a high correlation, which its outline dominates; but each view shows
 another side of the furniture. So the quarters of a patch are compared one by one.
 
-`log_magnification` tests the depth of a patch off the walls: things that repeat are found at wrong
-depths, but seldom in the size that a patch would have there.
+`log_nearer` gives depth by scale: if two panoramas and a patch lie on one line, there is no
+parallax; but on the way to a patch its image grows the faster the nearer it is. Resampled on the
+assumed plane, views of a parallel plane in front of it differ by one factor in both directions.
 """
 
 from __future__ import annotations
@@ -118,7 +119,7 @@ def match_in(
     """
     Find a patch of one panorama in another, number `other`.
 
-    Without parallax, a patch on the wall looks like one in front of it.
+    Without parallax and at the same range, a patch on the wall looks like one in front of it.
     """
     here, there = panoramas[patch.source], panoramas[other]
     if sigma := room.walls[patch.wall].sigma_m:
@@ -133,10 +134,13 @@ def match_in(
     to_there = there.center_map - patch.position
     if to_there @ patch.normal < np.cos(config.max_incidence_rad) * np.hypot(*to_there[:2]):
         return Refusal('too oblique from the other place')
-    # Straight ahead of both, a patch above or below the camera has vertical parallax.
+    # Straight ahead of both, a patch above or below the camera has vertical parallax, and a larger
+    # image in the nearer view.
     turn = float(np.linalg.norm(np.cross(to_here, to_there)))
     parallax = float(np.arctan2(turn, to_here @ to_there))
-    if parallax < config.min_parallax_rad:
+    reach, reach_there = float(np.linalg.norm(to_here)), float(np.linalg.norm(to_there))
+    approach = max(reach, reach_there) / min(reach, reach_there)
+    if parallax < config.min_parallax_rad and approach < config.min_approach:
         return Refusal('too little parallax', f'{np.degrees(parallax):.1f} deg')
     return compare(patch, other, panoramas, config)
 
@@ -188,8 +192,8 @@ def compare(
         # A patch that is not flat may be matched by any part of it.
         relief = _RELIEF_SHARE * displaced * coarser * patch.texel_m / reach
         sigma = np.hypot(sigma, relief)
-    sizeless = patch.on_wall or patch.candidate.edge
-    larger = (0.0, np.inf) if sizeless else _log_larger(patch, point, (here, there))
+    edge = patch.candidate.edge
+    nearer = (0.0, np.inf) if edge else log_nearer(patch, point, (here, there))
     return PatchMeasurement(
         other,
         float(np.arctan2(ray[1], ray[0])) - there.heading_rad,
@@ -197,7 +201,7 @@ def compare(
         float(sigma[0]) * cosine,
         float(sigma[1]),
         match.score,
-        *larger,
+        *nearer,
     )
 
 
@@ -287,14 +291,14 @@ MARGIN = 4
 _INNER = (slice(MARGIN, -MARGIN), slice(MARGIN, -MARGIN))
 
 
-def _log_larger(
+def log_nearer(
     patch: WallPatch, point: FloatArray, panoramas: tuple[Panorama, Panorama]
 ) -> tuple[float, float]:
     """
-    Log of the size of a patch in the second panorama, relative to the first, and its sigma.
+    Log ratio of the distances of two panoramas from the true plane of a patch, and its sigma.
 
-    `point` (3,) is its match there, on the plane of the patch. The sigma is infinite if the size
-    is not observable.
+    `point` (3,) is its match in the second one, on the plane of the patch. The sigma is infinite
+    if the ratio is not observable.
     """
     shape = (patch.shape[0] + 2 * MARGIN, patch.shape[1] + 2 * MARGIN)
     views = [
@@ -307,9 +311,12 @@ def _log_larger(
     own_view, seen_view = blur_to(views[0], seen, own), blur_to(views[1], own, seen)
     coarser = float(max(own.max(), seen.max()))
     if own.max() > seen.max():
-        return log_magnification(own_view, seen_view, coarser) or (0.0, np.inf)
-    smaller, sigma = log_magnification(seen_view, own_view, coarser) or (0.0, np.inf)
-    return -smaller, sigma
+        larger, sigma = log_magnification(own_view, seen_view, coarser) or (0.0, np.inf)
+    else:
+        smaller, sigma = log_magnification(seen_view, own_view, coarser) or (0.0, np.inf)
+        larger = -smaller
+    reach, reach_there = (patch.reach_m(panorama) for panorama in panoramas)
+    return larger + float(np.log(reach / reach_there)), sigma
 
 
 def log_magnification(
