@@ -85,6 +85,29 @@ class TestSteps:
             0.0,
         )
 
+    def test_coarse_encoders_and_late_stamps_are_no_steps(self):
+        rng = np.random.default_rng(5)
+        coarse, late = OdometryTrack(CONFIG), OdometryTrack(CONFIG)
+        for k in range(200):
+            pose = twist_motion(SPEED, 0.0, k / 50.0)
+            held = np.floor(pose / 0.03) * 0.03
+            coarse.add(OdometrySample(round(1e9 * k / 50.0), held, SPEED, 0.0))
+            stamp = round(1e9 * (k + 0.8 * (rng.random() < 0.1)) / 50.0)
+            late.add(OdometrySample(stamp, pose, SPEED, 0.0))
+        for track in (coarse, late):
+            motion = track.motion(0, 39 * 10**8)
+            assert motion.steps_m2 < motion_variances(motion._replace(steps_m2=0.0), CONFIG)[0]
+
+    def test_absurd_speeds_do_not_spoil_the_motion(self):
+        track = OdometryTrack(CONFIG)
+        for k in range(100):
+            speed = 1e200 if k in (50, 51) else SPEED
+            pose = twist_motion(SPEED, 0.0, k / 50.0)
+            track.add(OdometrySample(round(1e9 * k / 50.0), pose, speed, 0.0))
+        motion = track.motion(0, 19 * 10**8)
+        assert np.isfinite([motion.steps_m2, motion.steps_rad2]).all()
+        assert motion.steps_m2 < 0.3**2
+
     def test_filtered_speeds_hardly_count(self):
         # A robot that starts, and a driver that reports the speeds of 0.1 s before.
         track, way = (

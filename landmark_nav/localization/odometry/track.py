@@ -79,28 +79,37 @@ class Steps:
     Variances (m^2 on one axis, rad^2) of increments that differ from the speeds unexpectedly.
 
     Increment and speeds measure one motion. What changes in their difference, other than usual and
-    by more than the noise of the wheels, is an error of one of them; its size is the sigma. A
-    difference that lasts is none: speeds may be filtered, or of another scale. Without speeds,
-    the increment itself must not change faster than a base accelerates.
+    by more than wheels, accelerations and stamps explain, is an error of one of them; its size is
+    the sigma. A difference that lasts is none: speeds may be filtered, or of another scale.
+    Without speeds, the increment itself must not change faster than a base accelerates.
     """
 
     def __init__(self) -> None:
+        # Squares of the last changes of position and heading, and the times of the increments.
+        self._last, self._count = np.zeros((_SAMPLES, 3)), 0
         self._rate: FloatArray | None = None
-        # Squares of the last changes of position and heading.
-        self._last: deque[tuple[float, float]] = deque(maxlen=_SAMPLES)
+        self._late = np.zeros(2)
 
-    def add(self, off: FloatArray, seconds: float, noise: FloatArray) -> FloatArray:
-        """Add a difference (3,), with the variances (3,) of its change; return those (2,)."""
+    def interrupt(self) -> None:
+        """Forget the last difference: the next does not follow it."""
+        self._rate = None
+
+    def add(
+        self, off: FloatArray, seconds: float, noise: FloatArray, speeds: FloatArray
+    ) -> FloatArray:
+        """Add a difference (3,), with the variances (2,) of its change and the speeds (2,)."""
         before, self._rate = self._rate, off / seconds
-        if before is None:
-            return np.zeros(2)
-        change = off - seconds * before
-        squares = float(change[:2] @ change[:2]), float(change[2] ** 2)
-        self._last.append(squares)
+        change = np.zeros(3) if before is None else off - seconds * before
+        squares = np.array([change[:2] @ change[:2], change[2] ** 2])
+        self._last[self._count % _SAMPLES] = (*squares, seconds)
+        self._count += 1
         # The median, as steps may be frequent.
-        usual = np.maximum(np.median(self._last, axis=0) / _MEDIANS, noise[1:])
+        usual = np.median(self._last[: self._count], axis=0)
+        late, before_late = np.square((seconds - usual[2]) * speeds), self._late
+        self._late = late
+        most = np.maximum(usual[:2] / _MEDIANS, noise + np.maximum(late, before_late))
         # A step changes the difference twice: there, and back.
-        return np.where(squares > _STEP**2 * usual, 0.5 * np.array(squares), 0.0)
+        return np.where(squares > _STEP**2 * most, 0.5 * squares, 0.0)
 
 
 # The last twist is extrapolated for this time, and the first one backwards.
@@ -215,8 +224,10 @@ class OdometryTrack:
         else:
             self._jitter.add(increment, seconds)
         unsure = np.array([seconds if blind else 0.0, 0.0, 0.0])
-        if not (blind or jumped) and seconds <= HORIZON_S:
-            unsure[1:] = self._stepped(increment, last, sample, seconds)
+        if blind or jumped:
+            self._steps.interrupt()
+        elif not same_pose:
+            unsure[1:] = self._stepped(increment, last, sample)
         if not same_pose:
             self._agreed, self._claimed, self._staying = sample, 0.0, 0
         elif self._freezes(sample, seconds):
@@ -229,19 +240,24 @@ class OdometryTrack:
         return None
 
     def _stepped(
-        self, increment: FloatArray, last: OdometrySample, sample: OdometrySample, seconds: float
+        self, increment: FloatArray, last: OdometrySample, sample: OdometrySample
     ) -> FloatArray:
-        """Variances (2,) by a step of the pose in an increment."""
-        off, ahead_s4 = increment, 4.0 * seconds**4
+        """Variances (2,) by a step of the pose since it last changed, as encoders are coarse."""
+        agreed, config = self._agreed, self._config
+        assert agreed is not None, 'one came before'
+        seconds = (sample.stamp_ns - agreed.stamp_ns) * 1e-9
+        if seconds > HORIZON_S:
+            self._steps.interrupt()
+            return np.zeros(2)
+        off, fastest = increment, np.array([config.max_speed_m_s, config.max_rate_rad_s])
         if self._reports_speeds:
-            ahead_s4 = 0.0
-            ends = [
-                twist_motion(each.linear_m_s, each.angular_rad_s, seconds)
-                for each in (last, sample)
-            ]
-            off = increment - increment.clip(*np.sort(ends, axis=0))
-        motion = Motion(increment, seconds, ahead_s4=ahead_s4)
-        return self._steps.add(off, seconds, motion_variances(motion, self._config))
+            speeds = [(each.linear_m_s, each.angular_rad_s) for each in (agreed, last, sample)]
+            bounded = np.clip(speeds, -fastest, fastest).tolist()
+            ends = [twist_motion(ahead, turn, seconds) for ahead, turn in bounded]
+            off = increment - increment.clip(np.min(ends, axis=0), np.max(ends, axis=0))
+        noise = motion_variances(Motion(increment, seconds, ahead_s4=4.0 * seconds**4), config)
+        rates = np.array([math.hypot(increment[0], increment[1]), increment[2]]) / seconds
+        return self._steps.add(off, seconds, noise[[0, 2]], rates)
 
     def _contradicts_speeds(
         self, increment: FloatArray, last: OdometrySample, sample: OdometrySample, seconds: float
