@@ -3,6 +3,7 @@
 from dataclasses import replace
 
 from builders import nees, pose_error
+import cv2
 import numpy as np
 import pytest
 from scenes import draw_frame, rectangle_room, Scene, textured_room, true_landmark
@@ -142,6 +143,16 @@ def test_another_room_is_not_recognised_nor_with_a_known_wall_in_it(walls):
     # It comes into view last.
     found = located_at_rest(sweep(stolen, (2.4, 1.9, 0.4), np.roll(PANS, -4)))
     assert_refused(found, 'nothing recognised', 'of' if walls else '')
+
+
+def test_a_hand_in_front_of_the_lens_shows_nothing_and_what_comes_after_it_is_searched():
+    pose, rng = (2.4, 1.9, 0.4), np.random.default_rng(5)
+    hand = cv2.GaussianBlur(rng.normal(80.0, 10.0, (LENS.height, LENS.width)), (0, 0), 9.0)
+    frames = sweep(SCENE, pose)
+    covered = [replace(frame, image=hand.astype(np.uint8)) for frame in frames]
+    assert not len(find_candidate_detections(covered[0], MAP, MOUNT))
+    assert_refused(located_at_rest(covered), 'nothing recognised')
+    assert_right(located_at_rest([*covered, *frames]), pose)
 
 
 def test_darkness_and_maps_without_landmarks_or_texture_are_refusals():

@@ -145,6 +145,8 @@ def _resampled(image: ImageArray, pixels: FloatArray, resolution: float) -> Imag
 # Scale of the searched image, and least size of a template in it, pixels.
 _RESOLUTION = 0.5
 _MIN_SIZE_PX = 8
+# Sigma of the noise of its pixels, grey levels: nothing is recognised where contrast is lower.
+_NOISE_GREY = 1.0
 # Least correlation of a detection, and most detections of a landmark in an image.
 _MIN_SCORE = 0.72
 _PER_VIEW = 2
@@ -237,6 +239,8 @@ def _search(
         if height < _MIN_SIZE_PX or bottom - top + 1 < height:
             continue
         band = strip.image[top : bottom + 1, first:end]
+        if cv2.meanStdDev(band)[1][0, 0] < _NOISE_GREY:
+            continue
         for foreshortening in look.foreshortenings:
             width = round(landmark.width_m * foreshortening / distance * strip.px_per_rad)
             if not _MIN_SIZE_PX <= width <= end - first:

@@ -26,7 +26,11 @@ from landmark_nav.localization.relocalization.candidate_detections import (
     CandidateDetections,
     find_candidate_detections,
 )
-from landmark_nav.localization.relocalization.search import locate, RelocalizationConfig
+from landmark_nav.localization.relocalization.search import (
+    locate,
+    nothing_recognised,
+    RelocalizationConfig,
+)
 from landmark_nav.localization.relocalization.verification import CarriedFrames, PlaceVerifier
 from landmark_nav.localization.triangulation.model import axis_from_base, base_from_axis
 from landmark_nav.types import (
@@ -198,6 +202,10 @@ class Relocalizer:
             np.vstack([variances, np.zeros(3)])[recent],
         )
         detections = find_candidate_detections(carried.frames[-1], self._map, self._mount)
+        if not len(detections):
+            # Kept, it would keep later images of this direction from being searched.
+            self._outcome = nothing_recognised('no landmark looks like anything in the image')
+            return self._outcome
         self._kept = [*self._kept, _Keyframe(frame, direction, detections)][recent]
         seen = [keyframe.detections for keyframe in self._kept]
         outcome = locate(carried, seen, self._verifier, self._config)
