@@ -14,7 +14,7 @@ from landmark_nav.calibration import Calibration
 from landmark_nav.geometry.angles import PanTrack
 from landmark_nav.geometry.se2 import compose, inverse
 from landmark_nav.localization.estimator.config import EstimatorConfig
-from landmark_nav.localization.estimator.factors import ImagePoints
+from landmark_nav.localization.estimator.factors import ImagePoints, SCALE
 from landmark_nav.localization.estimator.filter import JointFilter
 from landmark_nav.localization.estimator.integrity import (
     Integrity,
@@ -64,6 +64,8 @@ _MAY_STEP = {
 }
 # Sigmas by which images contradict a value of the prior, so that poses are wrong with it.
 _CONTRADICTION = 5.0
+# Sigmas by which ways by odometry and in the map differ, so that one of both is wrong.
+_SCALE_SIGMAS = 3.0
 # Log odds above which an OK pose is certainly right: what was estimated by then is kept.
 _TRUSTED = 4.0
 # Prior log odds that a given start is right: one in a hundred is another place.
@@ -345,6 +347,21 @@ class Fusion:
     def calibration(self) -> Calibration:
         """The current estimate of the calibration."""
         return self._prior if self._line is None else self._line.filter.calibration
+
+    @property
+    def scale_contradiction(self) -> str:
+        """How far the ways by odometry are off those in the map; empty if sigmas explain it."""
+        if self._line is None or self.status_at()[0] is Status.LOST:
+            return ''
+        off = float(self._line.filter.state.mean[SCALE])
+        sigma = hypot(self._odometry.bias_sigmas[0], self._map.scale_sigma)
+        if abs(off) <= _SCALE_SIGMAS * sigma:
+            return ''
+        side = 'shorter' if off > 0.0 else 'longer'
+        return (
+            f'ways by odom are {100.0 * abs(off / (1.0 + off)):.0f} % {side} than in the map '
+            f'({abs(off) / sigma:.1f} sigma): check wheel sizes, learn the map again without slip'
+        )
 
     @property
     def late(self) -> JointDelay:

@@ -93,7 +93,8 @@ class OdometryFusionNode(ConfiguredNode):
         counts = {'landmarks': self._landmarks, 'accepted': self._accepted}
         values = counts | {'rejected': self._rejected} | self._latency.values()
         values |= _calibration_values(self._fusion)
-        advice = self._delay_advice() + self._mount_advice()
+        scale = self._fusion.scale_contradiction
+        advice = self._delay_advice() + self._mount_advice() + (scale and f'; {scale}')
         return Health(_LEVELS[status], (reason or 'tracking') + advice, values)
 
     def _now_ns(self) -> int:

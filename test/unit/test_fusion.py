@@ -215,6 +215,24 @@ def test_silence_is_reported():
     assert 'no odometry for' in reason
 
 
+@pytest.mark.parametrize(
+    ('factor', 'scale_sigma', 'told'),
+    [(1.0, 0.0, False), (0.82, 0.02, True), (1.2, 0.0, True), (0.82, 0.1, False)],
+)
+def test_ways_by_odometry_that_contradict_the_map_are_told(factor, scale_sigma, told):
+    """Unless the sigma of the map's scale explains it."""
+    drive = simulated(3, seconds=8.0)
+    provenance = {'scale_sigma': str(scale_sigma)}
+    fusion = Fusion(replace(drive.landmark_map, provenance=provenance), drive.prior)
+    fusion.initialize(drive.start)
+    for what in arriving(drive):
+        if isinstance(what, OdometrySample):
+            pose, speed = what.pose_odom_base * [factor, factor, 1.0], factor * what.linear_m_s
+            what = replace(what, pose_odom_base=pose, linear_m_s=speed)
+        take(fusion, what)
+    assert bool(fusion.scale_contradiction) is told
+
+
 @pytest.mark.parametrize(('since', 'is_learned'), [(0, True), (40, True), (40, False)])
 def test_a_camera_info_that_changes_restarts_the_estimate_of_the_lens(since, is_learned):
     """Since learning (image 0), and while driving, also after the pose was given anew."""
