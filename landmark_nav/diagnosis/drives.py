@@ -170,7 +170,10 @@ class DriveChecks:
             found.append(Finding('image motion', 'ok', text))
             return [*found, *_clocks_by_log(motion, hints, None)], Delays(), True
         if (repeated := parts.repeated_images(motion)) is not None:
-            return [*found, repeated], Delays(), False
+            finding, motion = repeated
+            found.append(finding)
+            if finding.level == 'error':
+                return found, Delays(), False
         # A pan that stops for each image repeats its values, too, but explains the images.
         for part in () if linear(motion).quiet else (parts.repeated_values, parts.limited_values):
             if (odd := part(motion)) is not None:

@@ -124,23 +124,34 @@ def _flickering_images(looks: Looks) -> Finding | None:
     return Finding('images exposure', 'warning', text, advice, {'factor': factor})
 
 
-def repeated_images(motion: Motion) -> Finding | None:
-    """Find images that do not turn though the pan does; None if there are few."""
+def repeated_images(motion: Motion) -> tuple[Finding, Motion] | None:
+    """
+    Find images that do not turn though the pan does; return the motion without, None if few.
+
+    It is an error if the rest is too little to judge, as where each image comes twice.
+    """
     turning, turns = np.abs(motion.panned()) > _TURNING_RAD, np.abs(motion.turns_rad)
-    still = turning & (turns < _SAME_RAD)
+    same = turns < _SAME_RAD
+    still = turning & same
+    # The first image after repeated ones has turned for longer.
+    rest = motion.only(~(same | np.append(False, same[:-1])))
+    level: Level = 'error'
     if turning.sum() < LEAST_PAIRS:
         return None
     if np.mean(turns < _STILL_RAD) > _MOST_STILL:
         text = 'images stay the same while joint_states turn'
         advice = 'the camera repeats an image, or the pan does not move: look at both drivers'
-    elif still.sum() >= _SOME * turning.sum():
+    elif still.sum() < _SOME * turning.sum():
+        return None
+    else:
         text = f'{still.sum()} of {turning.sum()} images repeat the one before while the camera '
         text += 'turns'
         advice = 'its driver stamps one image twice: publish each image once'
-    else:
-        return None
+        if len(rest) >= LEAST_PAIRS:
+            level, text = 'warning', f'{text} and are left out'
+            advice = 'its driver hangs at times: publish each image once'
     values = {'repeated': int(still.sum()), 'turning': int(turning.sum())}
-    return Finding('images motion', 'error', text, advice, values)
+    return Finding('images motion', level, text, advice, values), rest
 
 
 def alternating_images(looks: Looks, motion: Motion) -> Finding | None:

@@ -231,6 +231,17 @@ def test_the_cause_is_named_in_a_recorded_drive(name, tmp_path):
 
 
 @pytest.mark.parametrize(
+    ('name', 'level'), [('one image for 4 s', 'warning'), ('each second image repeated', 'error')]
+)
+def test_only_a_camera_that_always_repeats_images_spoils_a_drive(name, level, tmp_path):
+    bag = Bag(NAMED[name].write(BAGS / 'drive', tmp_path / 'drive'))
+    found = diagnose(bag, load_calibration(BAGS / 'robot.yaml'))
+    (motion,) = (k for k in found.findings if k.name == 'images motion')
+    assert motion.level == level
+    assert bool(found.errors) is (level == 'error')
+
+
+@pytest.mark.parametrize(
     ('name', 'off', 'finding'),
     [
         ('pan_scale', 0.1, 'pan scale'),
