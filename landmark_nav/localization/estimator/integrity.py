@@ -73,7 +73,7 @@ _MOST, _MOST_MISSED = 2.0, 2.0
 # Bounds of the sum and of the contribution of one image; the sum below which a pose is lost, and
 # the contribution of one image below which it is degraded, nats.
 _BOUND, _AT_ONCE, _LOST, _AGAINST = 8.0, 4.0, -4.0, -2.0
-# Without a detection for this time a pose is degraded, s.
+# Without an image or a detection for this time a pose is degraded, s.
 _BLIND_S = 1.0
 # Sigmas above which a pose is lost, and a heading degraded.
 _LOST_M, _LOST_RAD, _DEGRADED_RAD = 1.0, 0.5, 0.02
@@ -151,6 +151,8 @@ class Integrity:
 
     def __init__(self) -> None:
         self.log_ratio, self._newest = 0.0, 0.0
+        # Stamps of the newest image, and of the newest that showed a landmark.
+        self._seen_ns: int | None = None
         self._found_ns: int | None = None
         self._stepped = False
 
@@ -164,6 +166,7 @@ class Integrity:
         found = 0 if update is None else len(update.columns)
         if self._found_ns is None:
             self._found_ns = stamp_ns
+        self._seen_ns = max(self._seen_ns or 0, stamp_ns)
         if not found and not missed:
             return  # nothing was expected: the last evidence stands
         gained = max(-_MOST_MISSED, missed * MISSED)
@@ -186,12 +189,15 @@ class Integrity:
         position, heading = (float(sigma) for sigma in _sigmas(estimate.covariance))
         since_ns = estimate.stamp_ns if self._found_ns is None else self._found_ns
         blind_s = 1e-9 * (estimate.stamp_ns - since_ns)
+        unseen_s = 1e-9 * (estimate.stamp_ns - (self._seen_ns or since_ns))
         if not np.isfinite(estimate.pose).all() or not np.isfinite(position + heading):
             return Status.LOST, 'the estimate is not a number'
         if self.contradicted:
             return Status.LOST, 'images do not show what should be seen from here'
         if is_unknown(estimate.covariance):
             return Status.LOST, f'sigma {position:.2f} m, {np.degrees(heading):.0f} deg'
+        if unseen_s > _BLIND_S:
+            return Status.DEGRADED, f'no detections for {unseen_s:.1f} s: camera or node stopped'
         if self.log_ratio < 0.0 or self._newest <= _AGAINST:
             return Status.DEGRADED, 'images show little of what should be seen from here'
         if blind_s > _BLIND_S:
