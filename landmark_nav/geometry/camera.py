@@ -476,6 +476,8 @@ class PanTiltMount:
         Standard deviation of the measured joint angles; the error is common to one image.
     base_frame, pan_joint, tilt_joint : str
         Names of the base frame and of the joints.
+    has_tilt : bool
+        Whether there certainly is a tilt joint; otherwise it is 0 if no message has it.
     pan_min_rad, pan_max_rad : float
         Limits of the pan joint.
     pan_rate_rad_s, pan_acceleration_rad_s2 : float
@@ -497,6 +499,7 @@ class PanTiltMount:
     pan_rate_rad_s: float = 1.0
     pan_acceleration_rad_s2: float = 8.0
     image_delay_s: float = 0.0
+    has_tilt: bool = field(default=False, compare=False)
 
     def __post_init__(self) -> None:
         """Check the limits."""

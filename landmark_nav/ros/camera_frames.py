@@ -114,6 +114,10 @@ def listen_for_map(
     node.listen_together(('landmarks', 'landmarks/atlas'), take)
 
 
+# Time for which a tilt joint with a driver of its own may be later than the pan.
+_TILT_LATE_NS = 10**9
+
+
 def listen_for_joints(
     node: LandmarkNode,
     mount: PanTiltMount,
@@ -129,13 +133,19 @@ def listen_for_joints(
     Diagnostics list the names of the joints while the pan joint is not among them.
     """
     names = decode.JointNames(mount)
+    since_ns: int | None = None
 
     def take(message: Any) -> None:
+        nonlocal since_ns
         if taken := names.add(message.name):
             node.get_logger().info(f'joint_states: {taken}')
         stamp_ns, pan_rad, tilt_rad = decode.joint_angles(message, names.mount)
         if pan_rad is not None:
             on_sample(JointSample(stamp_ns, pan_rad, tilt_rad or 0.0))
+            since_ns = stamp_ns if since_ns is None else since_ns
+            if abs(stamp_ns - since_ns) > _TILT_LATE_NS and (missing := names.tilt_missing):
+                since_ns = stamp_ns
+                node.note(f'joint_states: {missing}')
             return
         if tilt_rad is not None:
             on_tilt(stamp_ns, tilt_rad)

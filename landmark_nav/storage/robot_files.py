@@ -186,6 +186,7 @@ def _mount(robot: Entry) -> PanTiltMount:
         base_frame=robot.name('base_frame', 'base_link'),
         pan_joint=pan,
         tilt_joint=tilt,
+        has_tilt='tilt_joint' in robot,
         **{
             argument: robot.number(key, low, high, f'take {low:g} to {high:g}, in {unit}')
             for key, (argument, low, high, unit) in MOUNT_FIELDS.items()
@@ -295,7 +296,8 @@ def save_calibration(
         return {field: [*values], f'{field}_sigma': [*sigmas]}
 
     document: dict[str, Any] = {
-        **{name: getattr(base, name) for name in ('base_frame', 'pan_joint', 'tilt_joint')},
+        **{name: getattr(base, name) for name in ('base_frame', 'pan_joint')},
+        **({'tilt_joint': base.tilt_joint} if base.has_tilt else {}),
         'pan_axis': both('xyz') | both('rpy'),
         **both('optical_center_offset'),
         **{key: float(getattr(base, argument)) for key, (argument, *_) in MOUNT_FIELDS.items()},

@@ -1,5 +1,6 @@
 """Reports of a node on its inputs: their publishers, what is missing, and what is wrong."""
 
+from dataclasses import replace
 import time
 from typing import Any
 
@@ -104,6 +105,17 @@ def test_reliability_is_overridden_and_a_publisher_that_does_not_suffice_is_name
     wheels = driver.advertise('odom')
     strict.fails = False
     graph.until(lambda: bool(strict.odometry), publish)
+
+
+def test_a_tilt_joint_that_no_message_has_is_named(graph):
+    named = replace(MOUNT, has_tilt=True)
+    listen_for_joints(graph.listener, named, lambda _: None, lambda stamp_ns, tilt_rad: None)
+    unit = graph.publisher('unit', '/robot/joint_states')
+
+    def publish():
+        unit.publish(joints(time.time_ns(), MOUNT.pan_joint))
+
+    graph.until(graph.reports(f'without {MOUNT.tilt_joint}'), publish)
 
 
 @pytest.mark.parametrize('seconds', [0, 1])

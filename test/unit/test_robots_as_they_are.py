@@ -20,6 +20,7 @@ from landmark_nav.simulation.pan_tilt_unit import PanTiltConfig, PanTiltUnit
 from landmark_nav.storage.bags import Bag, sensor_events
 from landmark_nav.storage.bags.timelines import JointHistory
 from landmark_nav.storage.bags.transforms import RobotTransforms
+from landmark_nav.storage.robot_files import load_robot
 from landmark_nav.types import CameraFrame, JointSample, OdometrySample
 
 PANS = 0.3 * (0.2 * np.arange(10) + 0.02)
@@ -59,6 +60,24 @@ def test_a_prefixed_joint_is_taken_if_it_is_the_only_one(tmp_path, name):
     np.testing.assert_allclose(found, PANS)
     assert len(warnings) == 1
     assert f'{name} for pan_joint' in warnings[0]
+
+
+@pytest.mark.parametrize(('robot', 'told'), [('tilt_joint: tilt_joint', True), ('', False)])
+def test_a_tilt_joint_of_the_robot_file_that_no_message_has_is_named(tmp_path, robot, told):
+    def without_tilt(topic, message):
+        if topic == '/joint_states':
+            message.name, message.position = message.name[:1], message.position[:1]
+        yield topic, message
+
+    file = tmp_path / 'robot.yaml'
+    file.write_text(f'pan_axis: {{xyz: [0.0, 0.0, 1.0]}}\n{robot}\n')
+    drive = rewritten(tmp_path, without_tilt)
+    mount = load_robot(file)
+    found, warnings = pans(drive, mount)
+    np.testing.assert_allclose(found, PANS)
+    named = 'tilt_joint' in ' '.join(warnings)
+    checked = [f.line() for f in diagnose(Bag(drive), Calibration.of_mount(mount)).warnings]
+    assert named is any('tilt_joint' in line for line in checked) is told
 
 
 @pytest.mark.parametrize('turns', [-100_000, -1, 0, 1, 100_000])

@@ -62,6 +62,14 @@ class JointNames:
         return f'{", ".join(names[:5])}{more} arrive, not {pan}: set pan_joint in robot.yaml'
 
     @property
+    def tilt_missing(self) -> str:
+        """Text: the tilt joint of robot.yaml does not come with the pan; '' if it does."""
+        pan, tilt = self.mount.pan_joint, self.mount.tilt_joint
+        if not (self.mount.has_tilt and self.pan_arrives) or tilt in self._seen:
+            return ''
+        return f'{pan} comes without {tilt}, taken as 0: publish it, or drop it from robot.yaml'
+
+    @property
     def pan_arrives(self) -> bool:
         """Whether the pan joint is among the names that arrived."""
         return self.mount.pan_joint in self._seen

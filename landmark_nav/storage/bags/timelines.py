@@ -219,6 +219,8 @@ def _of_topic(bag: Bag, topic: str, names: JointNames) -> _Logged:
             bag.inform(f'{topic}: {taken}')
         return _of_topic(bag, topic, names)
     message_filter.report()
+    if missing := names.tilt_missing:
+        bag.warn(f'{bag.path}: {topic}: {missing}')
     return logged, tilts
 
 
