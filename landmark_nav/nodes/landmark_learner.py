@@ -149,6 +149,7 @@ class LandmarkLearnerNode(ConfiguredNode):
         super().set_up()
         self._outputs = [*map(self.advertise, MAP_TOPICS)]
         self._panoramas: dict[int, Panorama] = {}
+        self._swept_ns = 0
         self._map: LandmarkMap | None = None
         self._on_disk = False
         room_file, robot_file = self.config.room_file, self.config.robot_file
@@ -156,6 +157,7 @@ class LandmarkLearnerNode(ConfiguredNode):
         self._given = self._robot() if robot_file or not room_file else None
         if self._room is not None:
             self.listen_together(PANORAMA_TOPICS, self._on_panorama)
+            self.listen('sweep/trajectory', self._on_trajectory)
         else:
             assert self._given is not None, 'it is read without a room'
             self._unmeasured = UnmeasuredLearner(self, self._given)
@@ -206,13 +208,24 @@ class LandmarkLearnerNode(ConfiguredNode):
         self._panoramas[view.stamp_ns] = view
         self.get_logger().info(f'panorama {len(self._panoramas)} received')
 
+    def _on_trajectory(self, message: Any) -> None:
+        self._swept_ns = decode.stamp_ns(message.header)
+
     def _learn(self) -> str:
         start = time.monotonic()
         if self._room is None:
             result = self._unmeasured.learn()
         else:
             panoramas = [self._panoramas[stamp] for stamp in sorted(self._panoramas)]
-            result = learn_from_panoramas(panoramas, self._room, self.config)
+            try:
+                result = learn_from_panoramas(panoramas, self._room, self.config)
+            except LandmarkNavError as error:
+                if self._swept_ns <= max(self._panoramas, default=0):
+                    raise
+                raise LandmarkNavError(
+                    'the panorama of the last sweep is still in the making, or was refused '
+                    f'(panorama_synthesizer); without it {error}'
+                ) from error
         result = replace(result, map=replace(result.map, prior=self._given))
         self._publish(result.map, on_disk=False)
         walls = len({landmark.wall_id for landmark in result.map.landmarks} - {''})

@@ -10,6 +10,7 @@ from typing import Any
 from graph import map_sender, small_map
 import numpy as np
 import pytest
+import rclpy
 from std_srvs.srv import Trigger
 
 from landmark_nav.demo.supervisor import node_command, node_environment
@@ -60,6 +61,20 @@ def test_one_stamp_that_is_off_costs_the_learner_no_odometry(graph, setup_files)
         take(encode.odometry(ros_factory, OdometrySample((5_000 + k) * 10**8, np.zeros(3))))
     assert len(node._unmeasured._odometry) == 1
     with pytest.raises(LandmarkNavError, match='two panoramas from different places, not 0'):
+        node._learn()
+
+
+def test_a_panorama_in_the_making_is_told_to_who_wants_to_learn(graph, setup_files):
+    node = graph.make(LandmarkLearnerNode, room_file=setup_files['room_file'])
+    with pytest.raises(LandmarkNavError, match=r'^learning needs two panoramas'):
+        node._learn()
+    samples = [JointSample((100 + k) * 10**8, 0.1 * k) for k in range(3)]
+    swept = encode.sweep_trajectory(ros_factory, samples, PanTiltMount())
+    graph.add(rclpy.create_node('sweeper', context=graph.context))
+    taker = graph.nodes[-1].create_publisher(type(swept), 'sweep/trajectory', 10)
+    graph.executor.add_node(node)
+    graph.until(lambda: node._swept_ns > 0, lambda: taker.publish(swept))
+    with pytest.raises(LandmarkNavError, match='last sweep is still in the making'):
         node._learn()
 
 
