@@ -34,13 +34,19 @@ _WHEELS = 'calibrate the radii of the wheels, on a straight line'
 _OTHERS = {IMAGES: 'joint_states and odom', JOINTS: 'images', ODOMETRY: 'images'}
 
 
-def clock_finding(stream: str, late_s: float, how: str = '', *, corrected: bool = True) -> Finding:
+def is_corrected(late: Estimate) -> bool:
+    """Whether an offset is small enough to be corrected, or may be."""
+    leeway_s = 3.0 * late.sigma if np.isfinite(late.sigma) else 0.0
+    return abs(late.value) <= CORRECTED_S + leeway_s
+
+
+def clock_finding(stream: str, late_s: float, how: str = '', *, corrected: bool) -> Finding:
     """Return the finding of a clock offset of a stream."""
     side = 'late' if late_s > 0.0 else 'early'
     against = _OTHERS[stream]
     text = f'stamped {seconds_text(abs(late_s))} {side} against {against}{how}'
     values = {'late_s': late_s}
-    if corrected and abs(late_s) <= CORRECTED_S:
+    if corrected:
         advice = 'corrected here; on the robot stamp at the time of measurement'
         if stream == IMAGES and late_s > 0.0:
             both = f'{late_s:+.3f} to image_delay, {-late_s:+.3f} to joint_delay'
@@ -94,7 +100,11 @@ def cause_findings(judged: Verdict) -> list[Finding]:
         text += f'({np.degrees(noise_rad):.1f} deg are left)'
         advice = 'undecided: look at joint_states, odom and images; more than one may be off'
         return [Finding('image motion', 'warning', text, advice, {'noise_rad': noise_rad})]
-    finding = _named(cause)
+    clocks = [
+        clock_finding(stream, late.value, corrected=is_corrected(late))
+        for stream, late in reversed(cause.late.items())
+    ]
+    *others, finding = clocks or [_named(cause)]
     if judged.rivals:
         kinds = {(c.stream, 'clock' if c.kind in CLOCKS else c.kind) for c in judged.rivals}
         also = ', '.join(sorted(map(' '.join, kinds)))
@@ -102,8 +112,7 @@ def cause_findings(judged: Verdict) -> list[Finding]:
         if cause.stream == JOINTS and cause.value < 0.0 and (IMAGES, 'clock') in kinds:
             late = f'; if images are late, also {-cause.value:+.3f} to image_delay'
             finding = replace(finding, advice=finding.advice + late)
-    of_joints = [clock_finding(JOINTS, cause.offset_s)] if cause.kind == 'clocks' else []
-    return [*of_joints, finding]
+    return [*others, finding]
 
 
 # Least value of a lens or mount error that is of level error: radians, or a share of the focal
@@ -235,8 +244,6 @@ _OTHER_CAUSES = {
 
 def _named(cause: Cause) -> Finding:
     stream, value = cause.stream, cause.value
-    if cause.kind in ('clock', 'clocks'):
-        return clock_finding(stream, value)
     if cause.kind == 'drift':
         share, off_s = 100.0 * abs(value), abs(cause.offset_s)
         text = f'{share:.1f} %' if share < 1e3 else f'{1.0 + value:.4g} times'

@@ -20,6 +20,7 @@ from landmark_nav.diagnosis.motion import (
     CERTAIN,
     Clock,
     driven_again,
+    Estimate,
     explained,
     Fit,
     fit,
@@ -92,6 +93,21 @@ class Cause:
     value: float = 0.0
     name: str = ''
     offset_s: float = 0.0
+
+    @property
+    def late(self) -> dict[str, Estimate]:
+        """Constant offsets of the clocks that are off, s, by stream."""
+        if self.kind not in ('clock', 'clocks'):
+            return {}
+        late_s = {self.stream: self.value}
+        if self.kind == 'clocks':
+            late_s[JOINTS] = self.offset_s
+        found = linear(self.motion)
+        known = {ODOMETRY: found.odometry_clock_s}
+        return {
+            name: Estimate(late, known.get(name, found.pan_clock_s).sigma)
+            for name, late in late_s.items()
+        }
 
 
 @dataclass(frozen=True)

@@ -242,14 +242,12 @@ class DriveChecks:
             if not judged.fits:
                 found = [f for s in streams if (f := parts.coarse_values(s)) is not None] or found
             found += _clocks_by_log(motion, hints, slopes)
-        late_s = {cause.stream: cause.value} if cause.kind == 'clock' else {}
-        if cause.kind == 'clocks':
-            late_s = {ODOMETRY: cause.value, JOINTS: cause.offset_s}
-        if max(map(abs, late_s.values()), default=np.inf) > advice.CORRECTED_S:
+        late = cause.late
+        if not late or not all(map(advice.is_corrected, late.values())):
             return found, Delays(), False
         by_stream = {IMAGES: 'images_s', JOINTS: 'joints_s', ODOMETRY: 'odometry_s'}
-        delays = Delays(**{by_stream[name]: late for name, late in late_s.items()})
-        if {*late_s} != {ODOMETRY}:
+        delays = Delays(**{by_stream[name]: offset.value for name, offset in late.items()})
+        if {*late} != {ODOMETRY}:
             delays = replace(delays, pan_sigma_s=max(slopes.pan_clock_s.sigma, _LEAST_SIGMA_S))
         return found, delays, False
 

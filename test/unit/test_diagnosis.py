@@ -15,7 +15,7 @@ from stream_errors import of_drives, of_sweeps
 from landmark_nav.calibration import Calibration
 from landmark_nav.cli.main import main
 from landmark_nav.diagnosis import diagnose, QUICK
-from landmark_nav.diagnosis.advice import motion_findings
+from landmark_nav.diagnosis.advice import cause_findings, motion_findings
 from landmark_nav.diagnosis.causes import late_odometry, verdict
 from landmark_nav.diagnosis.looks import Looks
 from landmark_nav.diagnosis.motion import (
@@ -147,6 +147,15 @@ def test_a_single_fault_is_named_and_measured(drive, stream, change, kind, value
     assert judged.cause.value == pytest.approx(value, abs=tolerance)
     if kind == 'step':
         assert judged.cause.offset_s == pytest.approx(12.0, abs=0.4)
+
+
+@pytest.mark.parametrize(('late_s', 'level'), [(0.3, 'warning'), (0.4, 'error')])
+def test_a_clock_at_the_bound_is_corrected_as_far_as_its_sigma_allows(drive, late_s, level):
+    _, change, *_ = late(ODOMETRY, late_s)
+    for seed in range(4):
+        motion = change(replace(drive, turns_rad=measured_anew(drive, seed)))
+        (found,) = cause_findings(verdict(motion, clocks={ODOMETRY: [Clock(late_s + 0.4)]}))
+        assert (found.name, found.level) == ('odom clock', level)
 
 
 @pytest.mark.parametrize('stream', [JOINTS, ODOMETRY])
