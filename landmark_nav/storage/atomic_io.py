@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 import errno
 import fnmatch
+from glob import escape
 import json
 import os
 from pathlib import Path
@@ -160,13 +161,18 @@ def check_writable(*files: Path | None) -> None:
 def left_over(folder: Path) -> Path | None:
     """Old folder that `atomic_folder` moved aside before it was killed; None if there is none."""
     target = Path(os.path.realpath(folder))
-    aside = [] if target.exists() else sorted(target.parent.glob(f'.{target.name}.old-*'))
+    aside = [] if target.exists() else sorted(_temporaries(target, 'old'))
     return aside[-1] if aside else None
+
+
+def _temporaries(target: Path, kind: str) -> Iterator[Path]:
+    # A name may hold characters of patterns, as [2].
+    return target.parent.glob(f'.{escape(target.name)}.{kind}-*')
 
 
 def _of_the_dead(target: Path, kind: str) -> Iterator[Path]:
     """Yield temporary folders of one kind (`part` or `old`) of processes that have ended."""
-    for path in target.parent.glob(f'.{target.name}.{kind}-*'):
+    for path in _temporaries(target, kind):
         number = path.name.rpartition('-')[2]
         if not number.isdecimal():
             continue

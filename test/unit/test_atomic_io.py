@@ -27,17 +27,17 @@ def save(folder):
         (growing / 'map.yaml').touch()
 
 
-def test_what_killed_processes_had_begun_is_removed(tmp_path, gone):
+@pytest.mark.parametrize('name', ['map', 'map [2]'])
+def test_what_killed_processes_had_begun_is_removed(tmp_path, gone, name):
     begun, lives, other = (
-        tmp_path / name
-        for name in (f'.map.part-{gone}', f'.map.part-{os.getppid()}', '.map.part-of-mine')
+        tmp_path / f'.{name}.part-{number}' for number in (gone, os.getppid(), 'of-mine')
     )
     for folder in (begun, lives, other):
         folder.mkdir()
         (folder / 'map.yaml').touch()
-    save(tmp_path / 'map')
+    save(tmp_path / name)
     assert sorted(path.name for path in tmp_path.iterdir()) == sorted(
-        ['map', lives.name, other.name]
+        [name, lives.name, other.name]
     )
 
 
