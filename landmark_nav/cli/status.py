@@ -25,6 +25,8 @@ _REFRESH_S = 1.0
 _NO_NODE_S = 10.0
 # A node that reports once a second and was not heard for this long has ended, or hangs.
 _SILENT_S = 5.0
+# Nodes in place of a robot.
+_STAND_INS = {'room_simulator', 'bag_player'}
 _CLEAR = '\x1b[H\x1b[J'
 
 
@@ -87,13 +89,15 @@ def run(args: argparse.Namespace) -> int:
             # Nodes of others may report by another name.
             with suppress(LandmarkNavError):
                 client.wait(lambda: not client.unheard(), _NO_NODE_S, 'all nodes')
-            if missing := client.unheard():
-                from landmark_nav.configuration import READS
+        from landmark_nav.configuration import READS
 
-                reason = 'it runs, but reports nothing: it is at work, or hangs'
-                silent = replace(client.status_of(''), level='SILENT', reason=reason)
-                ours = {name for name in missing if name.rpartition('/')[2] in READS}
-                client.status |= dict.fromkeys(ours, silent)
+        reason = 'nothing heard: it is not started, is at work, or hangs'
+        silent = replace(client.status_of(''), level='SILENT', reason=reason)
+        unheard = {name for name in client.unheard() if name.rpartition('/')[2] in READS}
+        # Of one that hangs, nothing may be known at all.
+        heard = {name.rpartition('/')[2] for name in {*client.status, *unheard}}
+        unheard |= READS.keys() - heard - _STAND_INS
+        client.status |= dict.fromkeys(unheard, silent)
         while True:
             size = shutil.get_terminal_size((99, 24))
             lines = table(others(), size.columns, args.values)

@@ -50,7 +50,8 @@ def test_a_robot_is_brought_up_called_driven_and_ended(robot, domain_id, tmp_pat
     while reported != NODES and time.monotonic() < deadline:
         assert robot.poll() is None, (tmp_path / 'up.log').read_text()
         _, lines = output_of(['status'], domain_id)
-        reported = [line.split()[0] for line in lines if line[0] != ' ']
+        heard = [line for line in lines if line[0] != ' ' and 'SILENT' not in line]
+        reported = [line.split()[0] for line in heard]
     assert reported == NODES
 
     # No sweep was taken: refused, with a reason, in one line.
@@ -87,6 +88,15 @@ def test_a_robot_is_brought_up_called_driven_and_ended(robot, domain_id, tmp_pat
     robot.send_signal(signal.SIGINT)
     assert robot.wait(30.0) == 130
     assert 'Traceback' not in (tmp_path / 'up.log').read_text()
+
+
+def test_a_node_that_is_not_heard_is_listed(start, client, setup_files, domain_id):
+    start('odometry_fusion', robot_file=setup_files['robot_file'])
+    client.wait(lambda: bool(client.status_of('odometry_fusion').level), 30.0, 'the node')
+    _, lines = output_of(['status', '--once'], domain_id)
+    levels = dict(line.split()[:2] for line in lines if line[0] != ' ')
+    assert levels['triangulation_localizer'] == 'SILENT'
+    assert levels['odometry_fusion'] != 'SILENT'
 
 
 @pytest.mark.parametrize(
