@@ -31,6 +31,7 @@ from landmark_nav.diagnosis.motion import (
 )
 from landmark_nav.diagnosis.odometry import check_speed, check_twist
 from landmark_nav.diagnosis.parts import (
+    alternating_images,
     check_content,
     frozen_values,
     jumping_values,
@@ -424,6 +425,30 @@ def test_images_that_are_covered_blurred_or_flicker_are_named():
     assert covered.level == 'warning'
     assert 'side left' in covered.measured
     assert not check_content(seen([images[0]] * 40)), 'a camera that stands shows no cover'
+    assert not check_content(seen([*[images[0]] * 20, *images[:3]])), (
+        'one wall is in view for long'
+    )
+    assert check_content(seen([*[images[0]] * 20, *images])), 'covered all the same'
+
+
+@pytest.mark.parametrize(('share', 'named'), [(0.55, False), (0.9, True)])
+def test_two_cameras_are_named_where_images_match_clearly(share, named):
+    rng = np.random.default_rng(4)
+    view = StripView(CAMERA, PanTiltMount())
+    textures = [
+        10.0 * cv2.GaussianBlur(rng.normal(size=(240, 320)), (0, 0), 3.0) for _ in range(42)
+    ]
+    each = [
+        np.sqrt(share) * textures[k % 2] + np.sqrt(1.0 - share) * textures[k] for k in range(2, 42)
+    ]
+    grey = [np.clip(128.0 + 50.0 * image, 0.0, 255.0).astype(np.uint8) for image in each]
+    looks = seen(grey)
+    looks = replace(
+        looks, strips={k: view.strip(image) for k, image in enumerate(grey)}, view=view
+    )
+    still = Track(np.array([0.0]), np.zeros((1, 1)))
+    motion = Motion(np.empty(0), np.empty(0), np.empty(0), still, None)
+    assert (alternating_images(looks, motion) is not None) == named
 
 
 @pytest.mark.parametrize(('unit_ns', 'named'), [(1, None), (1000, 'microseconds')])
