@@ -5,7 +5,7 @@ import json
 import re
 
 import cv2
-from drive_faults import rewritten
+from drive_faults import rewritten, write_bag
 from harness import BAGS
 from message_changes import each_second, no_number, nothing
 import numpy as np
@@ -44,6 +44,7 @@ from landmark_nav.diagnosis.streams import Stream, two_sources
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.matching.strips import StripView
 from landmark_nav.storage.bags import Bag, sensor_events
+from landmark_nav.storage.bags.definitions import relative_name
 from landmark_nav.storage.robot_files import load_calibration, load_robot
 from landmark_nav.storage.setup_files import load_room
 from landmark_nav.types import OdometrySample
@@ -256,6 +257,22 @@ def test_a_good_recording_passes(recording, tmp_path, capsys):
     names = [check['name'] for check in report['checks']]
     assert len(set(names)) == len(names)
     assert all(name in capsys.readouterr().out for name in names[:1])
+
+
+def test_a_bag_written_in_a_wrong_order_is_no_fault_of_clocks(tmp_path):
+    rng = np.random.default_rng(4)
+
+    messages = [
+        (
+            relative_name(entry.topic),
+            entry.message,
+            entry.stamp_ns + int(rng.integers(-(10**9), 10**9)),
+        )
+        for entry in Bag(BAGS / 'drive').messages()
+    ]
+    bag = Bag(write_bag(tmp_path / 'drive', messages))
+    (found,) = diagnose(bag, Calibration.of_mount(load_robot(BAGS / 'robot.yaml'))).findings
+    assert (found.name, found.level) == ('recording order', 'error')
 
 
 @pytest.mark.parametrize('name', ['pan reversed', 'pan in degrees'])
