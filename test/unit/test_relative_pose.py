@@ -236,6 +236,15 @@ def test_given_poses_that_contradict_the_panoramas_are_named(off_rad, words, cap
     assert ('sweep/pose and panoramas disagree' in caplog.text) == bool(words)
 
 
+def test_no_slip_is_blamed_for_half_a_turn():
+    rng = np.random.default_rng(6)
+    seen = features(POSES[:2], room_points(rng, 250), rng)
+    turned = POSES[:2] + np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 3.0]])
+    with pytest.raises(LandmarkNavError, match=r'look alike') as refused:
+        relative_poses(seen, [odometry(turned)], LEVER).check()
+    assert 'slip' not in str(refused.value)
+
+
 def test_sweeps_near_each_other_leave_lengths_uncertain_with_a_warning(caplog):
     for apart, warned in ((1.0, False), (0.2, True)):
         poses = POSES[:2] * [apart, apart, 1.0]

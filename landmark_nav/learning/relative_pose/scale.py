@@ -137,12 +137,17 @@ class PlaceSource:
             turns.append(np.degrees(wrap_rad(np.array([seen[2] - known[2], course]))))
         worst = int(np.argmax([np.abs(t).max() for t in turns]))
         heading, course = turns[worst]
-        remedy = 'drive without slipping' if self.name == 'odom' else 'its covariance'
+        # No wheels slip by a right angle.
+        if np.abs(turns[worst]).max() > 90.0:
+            remedy = f'the room may look alike on several sides, or else fix {self.name}'
+        elif self.name == 'odom':
+            remedy = 'drive without slipping, fix odom'
+        else:
+            remedy = f'fix {self.name}, its covariance'
         return (
             f'{self.name} and panoramas disagree from sweep {worst + 1} to {worst + 2} by '
             f'{heading:+.1f} deg in heading, {course:+.1f} in direction, '
-            f'{self.inflation**0.5:.1f} sigma: fix {self.name}, {remedy}, or pan_axis (xyz, zero) '
-            'in robot.yaml'
+            f'{self.inflation**0.5:.1f} sigma: {remedy} or pan_axis (xyz, zero) in robot.yaml'
         )
 
 
@@ -200,8 +205,8 @@ class SheetSource:
         self.inflation = _inflation(self.rows(states), states, freedom)
         if self.inflation > 1.0 and _scale_by(self.rows(states), states)[1] > MOST_SCALE_SIGMA:
             raise LandmarkNavError(
-                f'{self.name} contradict each other or the panoramas: check the size given, or '
-                'hang more sheets of it'
+                f'{self.name} contradict each other or the panoramas: other things may look like '
+                'sheets, or the size is wrong: hang more sheets of it, or check the size given'
             )
 
 
