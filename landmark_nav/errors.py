@@ -102,14 +102,15 @@ def _without_folder(text: str) -> str:
 
 
 def _without_clause(text: str) -> str:
-    """Text without the shorter of its last two clauses, as the last may end a sentence."""
+    """Text without the shorter of its last two clauses, or the only one after the first."""
     kept = text.replace(', …', '')
     masked = _INSIDE.sub(lambda found: '_' * len(found[0]), kept)
     ends = [found.start() for found in re.finditer('[,;] ', masked)]
-    if len(ends) < 2:
+    if not ends:
         return text
     last = kept[ends[-1] :]
-    is_short = len(last) < ends[-1] - ends[-2]
+    # The last clause may end a sentence.
+    is_short = len(ends) == 1 or len(last) < ends[-1] - ends[-2]
     return f'{kept[: ends[-1]]}, …' if is_short else f'{kept[: ends[-2]]}, …{last}'
 
 

@@ -37,6 +37,7 @@ from landmark_nav.storage.setup_files import load_camera, load_room
 
 _FILES = ('start.json', 'room.yaml', 'robot.yaml', 'scene.json', 'learn', 'drive')
 
+# The seed is added, ns: two simulations have no sweep in common, which `map merge` would refuse.
 _LEARN_START_NS = 1_000_000_000_000
 _DRIVE_START_NS = 5_000_000_000_000
 
@@ -104,7 +105,7 @@ def run(args: argparse.Namespace) -> int:
     with atomic_folder(args.out, _FILES, args.overwrite) as folder:
         with BagWriter(folder / 'learn') as bag:
             frames = args.frames * len(poses)
-            world = robot_in(scene, poses[0], args.seed, start_ns=_LEARN_START_NS)
+            world = robot_in(scene, poses[0], args.seed, start_ns=_LEARN_START_NS + args.seed)
             _write(bag, _learn(world, poses, args), 'sweeps', frames)
         path = plan_tour(later, poses[-1][:2], 1.2 * args.speed * args.drive_seconds + 2.0, rng)
         ahead = path[min(8, len(path) - 1)] - path[0]

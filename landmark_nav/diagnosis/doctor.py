@@ -15,7 +15,7 @@ from landmark_nav.diagnosis.findings import Delays, Diagnosis, Finding
 from landmark_nav.diagnosis.looks import look_corrected, Looks
 from landmark_nav.diagnosis.motion import LEAST_PAIRS, linear, Motion, Track
 from landmark_nav.diagnosis.parts import check_content, moved_between
-from landmark_nav.diagnosis.stamps import check_stamps
+from landmark_nav.diagnosis.stamps import check_recording, check_stamps
 from landmark_nav.diagnosis.streams import pan_stream, read_stream, unwrapped
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
@@ -129,6 +129,8 @@ def diagnose(
     # Warnings of the readers become findings.
     described: dict[str, None] = {}
     bag = bag.warning_to(lambda text: described.update({text: None}))
+    if (disorder := check_recording(bag.stamps_ns)) is not None:
+        return Diagnosis((disorder,))
     found: list[Finding] = []
     delays = Delays()
     images, sweeps = bag.find(*DRIVE_IMAGES), bag.find(*SWEEP_IMAGES)

@@ -21,14 +21,17 @@ from landmark_nav.diagnosis.motion import (
     Track,
 )
 from landmark_nav.diagnosis.streams import Stream
+from landmark_nav.matching.strips import CLEAR_SCORE
 
 # Least texture of a strip, per pixel; normalised contrast is 1, a bare wall has less.
 _BLANK = 0.02
 # Relative contrast of fine details in images that are blurred by 3 of 512 pixels.
 _BLURRED = 0.03
-# Sigmas of grey levels over time: greatest of a covered part, least of a free one. Least change of
-# brightness between images that flicker, as a logarithm (a factor of 1.2).
-_STAYS_GREY, _CHANGES_GREY, _FLICKERS = 3.0, 10.0, 0.2
+# Greatest sigma of grey levels of a covered part, over images between which the median change of
+# the rest is at least the second value; least number of these: fewer may all show one wall.
+_STAYS_GREY, _CHANGES_GREY, _LEAST_VIEWS = 3.0, 10.0, 6
+# Least change of brightness between images that flicker, as a logarithm (a factor of 1.2).
+_FLICKERS = 0.2
 COVERED = 'images cover'
 # Least share that is reported, and that of blank images which is an error.
 _SOME, _MOST_BLANK = 0.1, 0.9
@@ -91,14 +94,19 @@ def _covered_images(looks: Looks) -> Finding | None:
     small = np.array(list(looks.small.values()), dtype=np.float64)
     if len(small) < LEAST_PAIRS:
         return None
-    spread = small.std(axis=0)
-    x, y = np.meshgrid(*(np.linspace(-1.0, 1.0, n) for n in spread.shape[::-1]))
+    x, y = np.meshgrid(*(np.linspace(-1.0, 1.0, n) for n in small.shape[:0:-1]))
     # The corners of a fisheye lens are always dark.
     inside = np.hypot(x, y) <= 1.0
-    stays = inside & (spread < _STAYS_GREY)
+    free = inside & (small.std(axis=0) >= _STAYS_GREY)
+    if not free.any():
+        return None
+    views = small[:1]
+    for image in small[1:]:
+        if (np.median(np.abs(views - image)[:, free], axis=1) > _CHANGES_GREY).all():
+            views = np.append(views, image[None], axis=0)
+    stays = inside & (views.std(axis=0) < _STAYS_GREY)
     share = float(stays.sum() / inside.sum())
-    changing = spread[inside & ~stays]
-    if share < _SOME or not len(changing) or np.median(changing) < _CHANGES_GREY:
+    if share < _SOME or len(views) < _LEAST_VIEWS:
         return None
     right, down = x[stays].mean(), y[stays].mean()
     side = ('left', 'right') if abs(right) > abs(down) else ('above', 'below')
@@ -166,7 +174,9 @@ def alternating_images(looks: Looks, motion: Motion) -> Finding | None:
         and k + 2 in looks.strips
         and np.ptp(pans[k : k + 3]) < 0.5 * _SHARED * looks.view.width_rad
     ]
-    first, second, across = np.array(alike).reshape(-1, 3).T
+    scores = np.array(alike).reshape(-1, 3)
+    # Where no two images match, the scores are by chance.
+    first, second, across = scores[(scores > CLEAR_SCORE).any(axis=1)].T
     odd = across > np.maximum(first, second) + _ALIKE
     if len(odd) < LEAST_PAIRS or odd.mean() < _MOST_STRANGE:
         return None

@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from landmark_nav.arrays import FloatArray, IndexArray
+from landmark_nav.arrays import FloatArray, IndexArray, IntArray
 from landmark_nav.diagnosis.advice import seconds_text
 from landmark_nav.diagnosis.findings import Finding, Level
 from landmark_nav.diagnosis.motion import Clock
@@ -41,6 +41,9 @@ _STEADY = 0.8
 _JITTER_S = 0.01
 # Least significance of a drift, and least number of messages.
 _DRIFT_SIGMAS, _LEAST_MESSAGES = 5.0, 8
+# Messages are in a wrong order if this share of the stamps goes back, though the stamps, sorted,
+# are by this factor more even than times of recording.
+_SHUFFLED, _EVEN = 0.1, 0.3
 # Sigmas that contain 90 % of a normal distribution.
 _NORMAL_90 = 1.645
 # Shares of the stamps: greatest one out of order that is normal; least one of duplicates that
@@ -115,6 +118,32 @@ def _jitter(stream: Stream, what: str) -> list[Finding]:
     advice = f'{what} must stamp {stream.name} at the time of measurement'
     values = {'stamps_s': jitter_s, 'arrival_s': arrival_s}
     return [Finding(f'{stream.name} jitter', 'warning', text, advice, values)]
+
+
+def check_recording(stamps_ns: Mapping[str, IntArray]) -> Finding | None:
+    """
+    Find times of recording that are wrong, by log times and stamps (n, 2) of each topic.
+
+    Stamps of messages in a wrong order are as even as they were measured, if they are sorted.
+    """
+    wrong = {}
+    for topic, pairs in stamps_ns.items():
+        logged, stamps = 1e-9 * (np.sort(pairs, axis=0) - pairs[0, 1]).T
+        late_s = 1e-9 * (pairs[:, 1] - pairs[:, 0])
+        away_s = float(np.quantile(np.abs(late_s - np.median(late_s)), 0.9))
+        if len(pairs) < _LEAST_MESSAGES or away_s < _OUT_OF_STEP_S:
+            continue
+        steps = np.diff([stamps, logged])
+        uneven = np.abs(steps - np.median(steps, axis=1, keepdims=True)).mean(axis=1)
+        back = np.mean(np.diff(pairs[:, 1]) < 0)
+        if back > _SHUFFLED and uneven[0] < _EVEN * uneven[1]:
+            wrong[topic] = away_s
+    if not wrong:
+        return None
+    text = f'{", ".join(wrong)} in a wrong order: by their stamps, which are even, times of '
+    text += f'recording are off by {max(wrong.values()):.1f} s'
+    advice = 'record again with one recorder, or convert with the stamps as times of recording'
+    return Finding('recording order', 'error', text, advice, {'off_s': max(wrong.values())})
 
 
 def _nanosec_unit(stream: Stream) -> list[Finding]:

@@ -244,7 +244,7 @@ def locate_sweeps(
             np.degrees(moved_rad),
         )
     # Tilted panoramas leave headings less certain than those levelled by them.
-    located.poses.check_headings()
+    located.poses.check()
     return replace(located, heading_sigma_rad=turn)
 
 

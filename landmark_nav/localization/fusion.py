@@ -193,7 +193,12 @@ class Fusion:
         if self._prior is before or before.intrinsics is None:
             return
         if not self._changed_camera:
-            _LOG.warning('camera_info has changed: what was learned of the lens is less certain')
+            off = 100.0 * float(np.abs(before.intrinsics - intrinsics).max())
+            _LOG.warning(
+                'camera_info has changed by %.2g %%: what was learned of the lens is less '
+                'certain: publish one calibration, that of learning',
+                off,
+            )
         self._changed_camera, self._may_be = True, self._prior.widened(_MAY_STEP)
 
         def changed(joint: JointFilter) -> JointFilter:

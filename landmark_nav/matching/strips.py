@@ -27,7 +27,7 @@ _LEAST_SEQUENCE = 12
 # Least peak of the correlation; lower ones are by chance.
 _LEAST_SCORE = 0.4
 # Least peak that a match of two images would have, so that a lower one means that they differ.
-_CLEAR_SCORE = 1.5 * _LEAST_SCORE
+CLEAR_SCORE = 1.5 * _LEAST_SCORE
 
 # Spectrum of each row, and cumulative energy of the columns.
 Strip = tuple[npt.NDArray[np.complexfloating], FloatArray]
@@ -42,7 +42,7 @@ def comparable(first: Strip, second: Strip) -> bool:
     """Whether two strips have so much texture that they would match if they showed the same."""
     energies = np.array([first[1][-1], second[1][-1]])
     share = energies / (energies + _BLANK * _ROWS * _COLUMNS)
-    return bool(np.sqrt(share.prod()) >= _CLEAR_SCORE)
+    return bool(np.sqrt(share.prod()) >= CLEAR_SCORE)
 
 
 def without_cover(strips: Sequence[Strip]) -> list[Strip]:

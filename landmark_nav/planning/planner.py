@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
+from operator import itemgetter
 
 import numpy as np
 import numpy.typing as npt
@@ -41,6 +42,9 @@ Show = Callable[[Iterable[IndexArray], str, int], Iterator[IndexArray]]
 _MAX_ROUNDS = 12
 # Exchange ends after a round with a smaller relative gain.
 _MIN_GAIN = 0.004
+# A cost takes time by the square of the number of positions. This number of costs of one position,
+# some 10 s, bounds a round: of more, each second place, or fewer, is tried, others in the next.
+_ROUND_WORK = 300_000
 
 
 def exchange(cost: Cost, xy: FloatArray, start: IndexArray, show: Show) -> IndexArray:
@@ -50,25 +54,24 @@ def exchange(cost: Cost, xy: FloatArray, start: IndexArray, show: Show) -> Index
     `cost` is that of two or more indices of `xy` (p, 2). Returns indices from left to right, so
     that equal sets are equal arrays.
     """
-    chosen, least = start, cost(start)
-    for _ in range(_MAX_ROUNDS):
-        before = least
-        for k in range(len(chosen)):
-            others = np.delete(chosen, k)
-            # The current position comes first, so that nothing changes among equal costs.
-            rest = [j for j in range(len(xy)) if j not in chosen]
-            swapped = [np.append(others, j) for j in (chosen[k], *rest)]
-            best, least = _best(cost, swapped, 'exchange', show)
-            chosen = np.insert(others, k, best[-1])
-        if least > (1.0 - _MIN_GAIN) * before:
+    chosen, least, before = start, cost(start), np.inf
+    count, places = len(start), np.arange(len(xy))
+    apart = max(1, round(count**3 * (len(xy) - count) / _ROUND_WORK))
+    every = [np.array(k) for _ in range(_MAX_ROUNDS) for k in range(count)]
+    for step, k in enumerate(show(every, 'exchange', len(every))):
+        if k == 0 and least > (1.0 - _MIN_GAIN) * before:
             break
+        before = least if k == 0 else before
+        others = np.delete(chosen, k)
+        # The current position comes first, so that nothing changes among equal costs.
+        rest = np.setdiff1d(places, chosen)[(step + step // count) % apart :: apart]
+        best, least = _best(cost, [np.append(others, j) for j in (chosen[k], *rest)])
+        chosen = np.insert(others, k, best[-1])
     return chosen[np.lexsort(xy[chosen].T[::-1])]
 
 
-def _best(cost: Cost, sets: list[IndexArray], what: str, show: Show) -> tuple[IndexArray, float]:
-    costs = [cost(places) for places in show(sets, what, len(sets))]
-    best = int(np.argmin(costs))
-    return sets[best], costs[best]
+def _best(cost: Cost, sets: Iterable[IndexArray]) -> tuple[IndexArray, float]:
+    return min(((places, cost(places)) for places in sets), key=itemgetter(1))
 
 
 # Smallest distance between two random positions: learning refuses nearer ones.
@@ -159,7 +162,7 @@ def plan_positions(
     cells = free_floor(room, config.clearance_m, config.spacing_m, _SEARCH_CELLS)
     cost = Predictor(views, samples, cells, room, config).cost_m
     starts = random_sets(xy, count, _STARTS, np.random.default_rng(0))
-    start, _ = _best(cost, list(starts), 'places', show)
+    start, _ = _best(cost, show(starts, 'places', len(starts)))
     drawn = random_sets(xy, count, config.random_sets, rng)
     sets = [views.pose_map_base[k] for k in (exchange(cost, xy, start, show), *drawn)]
     cells = free_floor(room, config.clearance_m, config.spacing_m, _REPORT_CELLS)

@@ -323,13 +323,13 @@ def merge_maps(older: LandmarkMap, newer: LandmarkMap) -> LandmarkMap:
     Raises `LandmarkNavError`: frames or walls differ, both maps were learned from one panorama, or
     the maps cannot be aligned or contradict each other.
     """
-    _check_sweeps(older, newer)
     newer, alignment = in_one_frame(older, newer)
     if alignment is None:
         _check_same_room(older, newer)
     else:
         on_walls = (_on_wall_of(older, k) for k in newer.landmarks)
         newer = replace(newer, landmarks=tuple(k for k in on_walls if k is not None))
+    _check_sweeps(older, newer)
     comparison = compare_maps(older, newer)
     _check_agreement(comparison)
     known_pairs = [pair for pair in comparison.pairs if pair.texture is not Texture.UNKNOWN]

@@ -5,7 +5,7 @@ import json
 import re
 
 import cv2
-from drive_faults import rewritten
+from drive_faults import rewritten, write_bag
 from harness import BAGS
 from message_changes import each_second, no_number, nothing
 import numpy as np
@@ -31,6 +31,7 @@ from landmark_nav.diagnosis.motion import (
 )
 from landmark_nav.diagnosis.odometry import check_speed, check_twist
 from landmark_nav.diagnosis.parts import (
+    alternating_images,
     check_content,
     frozen_values,
     jumping_values,
@@ -43,6 +44,7 @@ from landmark_nav.diagnosis.streams import Stream, two_sources
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.matching.strips import StripView
 from landmark_nav.storage.bags import Bag, sensor_events
+from landmark_nav.storage.bags.definitions import relative_name
 from landmark_nav.storage.robot_files import load_calibration, load_robot
 from landmark_nav.storage.setup_files import load_room
 from landmark_nav.types import OdometrySample
@@ -277,6 +279,22 @@ def test_a_good_recording_passes(recording, tmp_path, capsys):
     assert all(name in capsys.readouterr().out for name in names[:1])
 
 
+def test_a_bag_written_in_a_wrong_order_is_no_fault_of_clocks(tmp_path):
+    rng = np.random.default_rng(4)
+
+    messages = [
+        (
+            relative_name(entry.topic),
+            entry.message,
+            entry.stamp_ns + int(rng.integers(-(10**9), 10**9)),
+        )
+        for entry in Bag(BAGS / 'drive').messages()
+    ]
+    bag = Bag(write_bag(tmp_path / 'drive', messages))
+    (found,) = diagnose(bag, Calibration.of_mount(load_robot(BAGS / 'robot.yaml'))).findings
+    assert (found.name, found.level) == ('recording order', 'error')
+
+
 @pytest.mark.parametrize('name', ['pan reversed', 'pan in degrees'])
 def test_learning_refuses_what_it_cannot_calibrate(name, tmp_path, capsys):
     error = of_sweeps()[name]
@@ -444,6 +462,30 @@ def test_images_that_are_covered_blurred_or_flicker_are_named():
     assert covered.level == 'warning'
     assert 'side left' in covered.measured
     assert not check_content(seen([images[0]] * 40)), 'a camera that stands shows no cover'
+    assert not check_content(seen([*[images[0]] * 20, *images[:3]])), (
+        'one wall is in view for long'
+    )
+    assert check_content(seen([*[images[0]] * 20, *images])), 'covered all the same'
+
+
+@pytest.mark.parametrize(('share', 'named'), [(0.55, False), (0.9, True)])
+def test_two_cameras_are_named_where_images_match_clearly(share, named):
+    rng = np.random.default_rng(4)
+    view = StripView(CAMERA, PanTiltMount())
+    textures = [
+        10.0 * cv2.GaussianBlur(rng.normal(size=(240, 320)), (0, 0), 3.0) for _ in range(42)
+    ]
+    each = [
+        np.sqrt(share) * textures[k % 2] + np.sqrt(1.0 - share) * textures[k] for k in range(2, 42)
+    ]
+    grey = [np.clip(128.0 + 50.0 * image, 0.0, 255.0).astype(np.uint8) for image in each]
+    looks = seen(grey)
+    looks = replace(
+        looks, strips={k: view.strip(image) for k, image in enumerate(grey)}, view=view
+    )
+    still = Track(np.array([0.0]), np.zeros((1, 1)))
+    motion = Motion(np.empty(0), np.empty(0), np.empty(0), still, None)
+    assert (alternating_images(looks, motion) is not None) == named
 
 
 @pytest.mark.parametrize(('unit_ns', 'named'), [(1, None), (1000, 'microseconds')])

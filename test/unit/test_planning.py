@@ -74,6 +74,24 @@ class TestSearch:
         assert cost(found) == pytest.approx(best)
         assert sorted(xy[found, 0]) == list(xy[found, 0])
 
+    def test_of_many_positions_the_work_is_bounded(self):
+        xy = np.random.default_rng(2).uniform(0.0, 10.0, (200, 2))
+
+        def worked(count):
+            asked = []
+
+            def cost(places):
+                asked.append(len(places) ** 2)
+                return float(xy[places].sum())
+
+            start = np.argsort(-xy.sum(axis=1))[:count]
+            found = exchange(cost, xy, start, silent)
+            return sum(asked), cost(found) / cost(start)
+
+        (few, _), (many, gain) = worked(15), worked(60)
+        assert many < 16 * few, '48 times as many if all were tried'
+        assert gain < 0.6
+
 
 class TestPlan:
     def test_beats_random_places(self, plan):

@@ -92,6 +92,12 @@ def test_hostile_yaml_is_one_short_line(read, hostile):
             f'(or {", ".join(map(str, range(50)))}: undecided): calibrate again',
             ('fx in camera_info is 43 % too short', 'calibrate again'),
         ),
+        (
+            'some/bag: /sweep/image/compressed: 1 of 72 images of sweeps left out: image 21, at '
+            '1009.100 s: image is 60000 x 60000, but its camera_info is for 512 x 512: calibrate '
+            'at the size that is published, or at a whole factor of it',
+            ('1 of 72 images of sweeps left out', 'calibrate at the size that is published'),
+        ),
     ],
 )  # fmt: skip
 def test_a_long_line_loses_whole_parts_and_keeps_subject_and_remedy(text, stays):

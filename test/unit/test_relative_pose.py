@@ -221,6 +221,39 @@ def test_odometry_that_contradicts_the_panoramas_is_refused(wrong, count, sigma)
     assert 'pan_axis' in str(refused.value)
 
 
+@pytest.mark.parametrize(('off_rad', 'words'), [(0.12, 'warned'), (0.3, 'refused'), (0.0, '')])
+def test_given_poses_that_contradict_the_panoramas_are_named(off_rad, words, caplog):
+    rng = np.random.default_rng(6)
+    seen = features(POSES[:2], room_points(rng, 250), rng)
+    turned = POSES[:2] + np.array([[0.0, 0.0, 0.0], [0.0, 0.0, off_rad]])
+    given = replace(odometry(turned, 0.02), source='sweep/pose')
+    result = relative_poses(seen, [given], LEVER)
+    if words == 'refused':
+        with pytest.raises(LandmarkNavError, match=r'sweep/pose .* to 2 .* sigma'):
+            result.check()
+        return
+    result.check()
+    assert ('sweep/pose and panoramas disagree' in caplog.text) == bool(words)
+
+
+def test_no_slip_is_blamed_for_half_a_turn():
+    rng = np.random.default_rng(6)
+    seen = features(POSES[:2], room_points(rng, 250), rng)
+    turned = POSES[:2] + np.array([[0.0, 0.0, 0.0], [0.0, 0.0, 3.0]])
+    with pytest.raises(LandmarkNavError, match=r'look alike') as refused:
+        relative_poses(seen, [odometry(turned)], LEVER).check()
+    assert 'slip' not in str(refused.value)
+
+
+def test_sweeps_near_each_other_leave_lengths_uncertain_with_a_warning(caplog):
+    for apart, warned in ((1.0, False), (0.2, True)):
+        poses = POSES[:2] * [apart, apart, 1.0]
+        rng = np.random.default_rng(6)
+        seen = features(poses, room_points(rng, 250), rng)
+        relative_poses(seen, [replace(odometry(poses, 0.03), slip_m=0.1)], LEVER).check()
+        assert ('lengths of the map' in caplog.text) == warned
+
+
 def test_sweeps_are_placed_where_ways_cross_not_as_far_away_as_a_single_sheet_says():
     states = np.zeros((3, STATE))
     states[:, :3] = [[0.0, 0.0, 0.0], [1.8, 0.1, 0.5], [3.2, -0.25, -2.0]]

@@ -24,6 +24,7 @@ from landmark_nav.learning.reference_area.markers import fit_markers
 from landmark_nav.learning.reference_area.model import ReferenceAreaConfig
 from landmark_nav.learning.relative_pose.epipolar import center, STATE
 from landmark_nav.learning.relative_pose.scale import (
+    contradiction,
     odd_source,
     PlaceSource,
     scale_sigma,
@@ -334,6 +335,9 @@ def test_sources_that_disagree_are_named_with_their_sigmas(caplog):
     assert scale_sigma(apart) > abs(apart[0].scale - apart[1].scale) / 3.0
     with pytest.raises(LandmarkNavError, match=r'by odom .* than by papers \(\d'):
         scale_sigma([s.share(STATES, NO_ERRORS) for s in (odometry(0.02), large)])
+    # No size is blamed where no sheet was measured.
+    given = replace(apart[0], name='sweep/pose', scale=2.0 * apart[0].scale)
+    assert 'size' not in contradiction(apart[0], given)
 
 
 COARSE = Cylinder.with_resolution(200.0, -0.3, 0.3)

@@ -117,6 +117,7 @@ class TestCommand:
         assert np.abs(off).max() < 0.03
         mount = load_robot(out / 'robot.yaml')
         assert mount.pan_joint == 'pan_joint'
+        assert (Bag(out / 'learn').start_ns - 11) % 1000 == 0, 'no other seed has its stamps'
         drive = Bag(out / 'drive')
         info = next(iter(drive.messages(['/camera/camera_info']))).message
         assert decode.camera_model(info) == load_camera(calibration)

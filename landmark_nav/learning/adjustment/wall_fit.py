@@ -155,8 +155,11 @@ def wall_warnings(
         f'{100 * abs(r.off_m):.1f} cm {"before" if r.off_m > 0 else "behind"} {r.wall_id}'
         for r in residuals
     )
+    # What hangs away from a wall, as blinds do, lies before it, never behind.
+    worst = int(np.argmax(np.abs(left)))
+    hung = 'things may hang away from the walls, or ' if off[worst] > 0.0 else ''
     return (
-        f'room.yaml may be wrong: what hangs on the walls lies {listed}; landmarks are '
+        f'{hung}room.yaml may be wrong: what hangs on the walls lies {listed}; landmarks are '
         'where the panoramas see them, but measure the walls again'
     )
 

@@ -44,6 +44,7 @@ from landmark_nav.learning.relative_pose.placing import placed
 from landmark_nav.learning.relative_pose.rigid_sets import rigid_set, RigidSet
 from landmark_nav.learning.relative_pose.scale import (
     contradiction,
+    MOST_SCALE_SIGMA,
     odd_source,
     PlaceSource,
     scale_sigma,
@@ -125,12 +126,20 @@ class RelativePoses:
     wave_sigma_rad: float
     shared_errors: FloatArray
 
-    def check_headings(self) -> None:
+    def check(self) -> None:
         """
-        Report that errors of headings may be large.
+        Report that errors of headings or of the scale may be large, and what sources contradict.
 
         Raises `LandmarkNavError`: they may be too large.
         """
+        for share in self.scales:
+            share.check()
+        if self.scale_sigma > MOST_SCALE_SIGMA:
+            _LOG.warning(
+                'the lengths of the map are good to %.0f %% only (sigma): sweep farther apart, or '
+                'hang sheets of a known size (--paper-size)',
+                100.0 * self.scale_sigma,
+            )
         turns = np.linalg.norm(self.shared_errors[2::STATE], axis=1)
         worst, sigma = int(np.argmax(turns)) + 1, float(np.degrees(turns.max()))
         if turns.max() > _MAX_HEADING_SIGMA_RAD:

@@ -26,9 +26,13 @@ _LOG = logging.getLogger(__name__)
 
 # Significance at which given poses misfit the shape by the panoramas: their variances are then
 # inflated. They are refused if the relative sigma of the scale exceeds the second value.
-_CHANCE, _MOST_SCALE_SIGMA = 1e-2, 0.15
-# Scales that differ by the first number of sigmas cause a warning, by the second a refusal.
-_APART_SIGMAS, _MOST_SIGMAS = 2.0, 3.0
+_CHANCE, MOST_SCALE_SIGMA = 1e-2, 0.15
+# Scales that differ by the first number of sigmas cause a warning, by the second a refusal. Poses
+# of sweep/pose, which define the frame, are refused at the third: no noise explains that.
+_APART_SIGMAS, _MOST_SIGMAS, _NEVER_SIGMAS = 2.0, 3.0, 5.0
+
+# What to check of sources that are no sheets.
+_SUSPECTS = {'odom': 'whether the wheels slipped'}
 
 Rows = tuple[FloatArray, FloatArray]
 
@@ -41,6 +45,7 @@ class ScaleShare:
     `scale` is relative to that by all sources together, with the sigma `sigma`. `inflation` is the
     factor on its variances, `sheets` the number of its sheets. `slip` is the sigma by slips along
     the ways, which panoramas do not show: these explain no contradiction to another source.
+    `misfit` says where it contradicts the panoramas, if it does so significantly.
     """
 
     name: str
@@ -49,6 +54,18 @@ class ScaleShare:
     inflation: float = 1.0
     sheets: int = 0
     slip: float = 0.0
+    misfit: str = ''
+
+    def check(self) -> None:
+        """
+        Report a contradiction to the panoramas.
+
+        Raises `LandmarkNavError`: it defines the frame, and its sigmas do not explain it.
+        """
+        if self.misfit and self.name == 'sweep/pose' and self.inflation > _NEVER_SIGMAS**2:
+            raise LandmarkNavError(self.misfit)
+        if self.misfit:
+            _LOG.warning('%s', self.misfit)
 
 
 @dataclass(eq=False)
@@ -91,7 +108,8 @@ class PlaceSource:
         slip = self.places.slip_m * float(np.linalg.norm(by_places @ self._by_slip(len(states))))
         own = self.inflation * by_places @ self.places.covariance[3:, 3:] @ by_places
         sigma = float(np.sqrt(own + np.sum((by_states @ shared_errors) ** 2)))
-        return ScaleShare(self.name, scale, sigma, self.inflation, slip=slip)
+        misfit = self._contradiction(states) if self.inflation > 1.0 else ''
+        return ScaleShare(self.name, scale, sigma, self.inflation, slip=slip, misfit=misfit)
 
     def inflate(self, states: FloatArray) -> None:
         """
@@ -105,7 +123,7 @@ class PlaceSource:
         self.inflation = _inflation(rows, states, len(rows[0]) - 1)
         if (
             self.inflation > 1.0
-            and _scale_by(self._rows(states, 0.0), states)[1] > _MOST_SCALE_SIGMA
+            and _scale_by(self._rows(states, 0.0), states)[1] > MOST_SCALE_SIGMA
         ):
             raise LandmarkNavError(self._contradiction(states))
 
@@ -119,10 +137,17 @@ class PlaceSource:
             turns.append(np.degrees(wrap_rad(np.array([seen[2] - known[2], course]))))
         worst = int(np.argmax([np.abs(t).max() for t in turns]))
         heading, course = turns[worst]
+        # No wheels slip by a right angle.
+        if np.abs(turns[worst]).max() > 90.0:
+            remedy = f'the room may look alike on several sides, or else fix {self.name}'
+        elif self.name == 'odom':
+            remedy = 'drive without slipping, fix odom'
+        else:
+            remedy = f'fix {self.name}, its covariance'
         return (
-            f'{self.name} and panoramas disagree from sweep {worst + 1} to {worst + 2}: by '
-            f'{heading:+.1f} deg in heading, {course:+.1f} deg in direction: fix {self.name}, or '
-            'pan_axis (xyz, zero of the pan) in robot.yaml, or drive without slipping'
+            f'{self.name} and panoramas disagree from sweep {worst + 1} to {worst + 2} by '
+            f'{heading:+.1f} deg in heading, {course:+.1f} in direction, '
+            f'{self.inflation**0.5:.1f} sigma: {remedy} or pan_axis (xyz, zero) in robot.yaml'
         )
 
 
@@ -178,10 +203,10 @@ class SheetSource:
         self.inflation = 1.0
         freedom = 3 * sum(len(track.views) - 1 for track in self.tracks) - 1
         self.inflation = _inflation(self.rows(states), states, freedom)
-        if self.inflation > 1.0 and _scale_by(self.rows(states), states)[1] > _MOST_SCALE_SIGMA:
+        if self.inflation > 1.0 and _scale_by(self.rows(states), states)[1] > MOST_SCALE_SIGMA:
             raise LandmarkNavError(
-                f'{self.name} contradict each other or the panoramas: check the size given, or '
-                'hang more sheets of it'
+                f'{self.name} contradict each other or the panoramas: other things may look like '
+                'sheets, or the size is wrong: hang more sheets of it, or check the size given'
             )
 
 
@@ -239,10 +264,14 @@ def _sigmas_apart(one: ScaleShare, other: ScaleShare) -> float:
 def contradiction(one: ScaleShare, other: ScaleShare) -> str:
     """Text that compares the scales by two sources."""
     longer, shorter = sorted((one, other), key=lambda share: -share.scale)
+    suspects = [
+        f'the size of {share.name}' if share.sheets else _SUSPECTS.get(share.name, share.name)
+        for share in (longer, shorter)
+    ]
     return (
         f'by {longer.name} the sweeps are {100.0 * (longer.scale / shorter.scale - 1.0):.1f} '
         f'% farther apart than by {shorter.name} ({_sigmas_apart(one, other):.1f} sigma): check '
-        'the sizes given, and whether the wheels slipped'
+        f'{" and ".join(suspects)}'
     )
 
 

@@ -163,7 +163,8 @@ def sheet_tracks(
             apart = [f'{np.exp(group.scale) * units[i, j]:.2f} m' for group in (best, rival)]
             undecided.append(
                 f'sheets that sweeps {i + 1} and {j + 1} both show say that these are '
-                f'{" and ".join(apart)} apart: check the size given, or hang more sheets of it'
+                f'{" and ".join(apart)} apart: other things look like sheets, or the size is '
+                'wrong: hang more sheets, or check the size given'
             )
             continue
         links += [(way.one, way.other) for way in best.pairs]
