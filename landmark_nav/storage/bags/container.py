@@ -126,7 +126,11 @@ _HELD_BYTES = CHUNK_BYTES
 # complete, and the error of zstandard has no other base class.
 _DAMAGE = Exception
 
-_LOOSE = {Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE}
+_DEFINITIONS: dict[int, type[Schema | Channel]] = {
+    Opcode.SCHEMA: Schema,
+    Opcode.CHANNEL: Channel,
+}
+_LOOSE = {*_DEFINITIONS, Opcode.MESSAGE}
 
 
 @dataclass(frozen=True)
@@ -183,7 +187,8 @@ class McapFile:
         """Read the index, or all messages if there is none."""
         self.path, self.name = path, name or path
         self._warn = on_warning
-        self._records = _Records(self.name)
+        self._schemas: dict[int, Schema] = {}
+        self._channels: dict[int, ChannelInfo] = {}
         # Reasons why parts cannot be read, by their place in the file; how many were reported.
         self._damaged: dict[int, str] = {}
         self._reported = 0
@@ -224,12 +229,69 @@ class McapFile:
         """Parts by the index, else those that are found; also the break that ends a search."""
         index = None
         with suppress(_DAMAGE):
-            index = _index(stream, self._records)
+            index = self._index(stream)
             if index is not None and all(_begins_there(stream, part) for part in index[0]):
                 return index, ''
         contents, broken = self._search(stream)
         # Damaged records hide those after them from a search.
         return (index, '') if broken and index is not None else (contents, broken)
+
+    def _index(self, stream: BinaryIO) -> _Contents | None:
+        """Read the summary; None if it does not name all chunks, channels and schemas."""
+        size = stream.seek(0, 2)
+        end = size - FOOTER_SIZE - len(_MAGIC)
+        stream.seek(end)
+        (footer,) = StreamReader(stream, skip_magic=True).records
+        if not isinstance(footer, Footer) or not len(_MAGIC) < footer.summary_start <= end:
+            return None
+        stream.seek(footer.summary_start)
+        summary = list(StreamReader(stream, skip_magic=True, emit_chunks=True).records)
+        chunks = [record for record in summary if isinstance(record, ChunkIndex)]
+        statistics = [record for record in summary if isinstance(record, Statistics)]
+        schemas = {0}
+        for record in summary:
+            if isinstance(record, Schema | Channel):
+                self._define(record)
+            if isinstance(record, Channel):
+                schemas.add(record.schema_id)
+        if len(statistics) != 1 or any(isinstance(record, Chunk | Message) for record in summary):
+            return None
+        counted = statistics[0].channel_message_counts
+        counts = Counter[ChannelInfo]()
+        for identity, info in self._channels.items():
+            counts[info] += counted.get(identity, 0)
+        messages = statistics[0].message_count
+        # Messages outside of chunks have no index.
+        complete = len(chunks) == statistics[0].chunk_count and (chunks or not messages)
+        complete = complete and counts.total() == messages and schemas <= {0, *self._schemas}
+        if not complete or sum(k.uncompressed_size for k in chunks) > most_bytes(size):
+            return None
+        topics = {identity: info.topic for identity, info in self._channels.items()}
+        parts = [
+            _Part(
+                chunk.chunk_start_offset,
+                chunk.chunk_length,
+                chunk.uncompressed_size,
+                (chunk.message_start_time, chunk.message_end_time),
+                frozenset(topics[k] for k in chunk.message_index_offsets if k in topics),
+            )
+            for chunk in chunks
+        ]
+        return parts, counts
+
+    def _define(self, record: Schema | Channel) -> None:
+        """Keep the definition of a channel, or of the type of its messages."""
+        if isinstance(record, Schema):
+            self._schemas[record.id] = record
+            return
+        schema = self._schemas.get(record.schema_id)
+        self._channels[record.id] = ChannelInfo(
+            record.topic,
+            schema.name if schema else '',
+            record.message_encoding,
+            schema.encoding if schema else '',
+            schema.data.decode('utf-8', 'replace') if schema else '',
+        )
 
     def _search(self, stream: BinaryIO) -> tuple[_Contents, str]:
         """Read all parts up to where records have no bounds; also what is wrong there, if so."""
@@ -269,10 +331,15 @@ class McapFile:
             for number, (opcode, payload) in enumerate(_records(content)):
                 if number == _MAX_RECORDS:
                     raise ValueError('a chunk holds what is no message')
-                if message := self._records.take(opcode, payload, topics):
-                    found.append(message)
-        except LandmarkNavError:
-            raise
+                if opcode == Opcode.MESSAGE:
+                    channel, _, log_time_ns, _ = struct.unpack_from('<HIQQ', payload)
+                    if log_time_ns > _LATEST_NS:
+                        raise ValueError(f'a log time of {log_time_ns} ns')
+                    info = self._channels[channel]
+                    if topics is None or info.topic in topics:
+                        found.append(RawMessage(info, log_time_ns, payload[22:]))
+                elif opcode in _DEFINITIONS:
+                    self._define(_DEFINITIONS[opcode].read(ReadDataStream(BytesIO(payload))))
         except _DAMAGE as error:
             begin_s, end_s = (1e-9 * time_ns for time_ns in part.span_ns)
             self._damaged[part.place] = f'{begin_s:.1f} to {end_s:.1f} s ({error})'
@@ -330,106 +397,6 @@ def _overlap_bytes(parts: Iterable[_Part]) -> int:
         heapq.heappush(ends, (part.span_ns[1], part.unpacked_bytes))
         most = max(most, held)
     return most
-
-
-class _Records:
-    """
-    Channels defined by the records of a file, and the messages of records.
-
-    Raises `LandmarkNavError`: the file defines more channels than any recording.
-    """
-
-    def __init__(self, name: Path) -> None:
-        self._name = name
-        self.schemas: dict[int, Schema] = {}
-        self.channels: dict[int, ChannelInfo] = {}
-        # Definitions that were parsed: each chunk may repeat them.
-        self._seen: dict[tuple[int, bytes], bytes] = {}
-        self._defined = 0
-
-    def take(
-        self, opcode: int, payload: bytes, topics: Collection[str] | None
-    ) -> RawMessage | None:
-        """Keep the definition in a record; return the message in it if it is on `topics`."""
-        if opcode == Opcode.MESSAGE:
-            channel, _, log_time_ns, _ = struct.unpack_from('<HIQQ', payload)
-            if log_time_ns > _LATEST_NS:
-                raise ValueError(f'a log time of {log_time_ns} ns')
-            info = self.channels[channel]
-            if topics is None or info.topic in topics:
-                return RawMessage(info, log_time_ns, payload[22:])
-        elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            key = opcode, payload[:2]
-            if self._seen.get(key) != payload:
-                self._seen[key] = payload
-                kind = Schema if opcode == Opcode.SCHEMA else Channel
-                self.define(kind.read(ReadDataStream(BytesIO(payload))))
-        return None
-
-    def define(self, record: Schema | Channel) -> None:
-        """Keep a definition."""
-        self._defined += 1
-        if self._defined > 2 * MAX_CHANNELS:
-            raise LandmarkNavError(
-                f'{self._name}: over {MAX_CHANNELS} channels: not a recording of a robot'
-            )
-        if isinstance(record, Schema):
-            self.schemas[record.id] = record
-            return
-        schema = self.schemas.get(record.schema_id)
-        self.channels[record.id] = ChannelInfo(
-            record.topic,
-            schema.name if schema else '',
-            record.message_encoding,
-            schema.encoding if schema else '',
-            schema.data.decode('utf-8', 'replace') if schema else '',
-        )
-
-
-def _index(stream: BinaryIO, records: _Records) -> _Contents | None:
-    """Read the summary; None if it does not name all chunks, channels and schemas."""
-    size = stream.seek(0, 2)
-    end = size - FOOTER_SIZE - len(_MAGIC)
-    stream.seek(end)
-    (footer,) = StreamReader(stream, skip_magic=True).records
-    if not isinstance(footer, Footer) or not len(_MAGIC) < footer.summary_start <= end:
-        return None
-    chunks, statistics, schemas = [], None, {0}
-    stream.seek(footer.summary_start)
-    for record in StreamReader(stream, skip_magic=True, emit_chunks=True).records:
-        if isinstance(record, ChunkIndex):
-            chunks.append(record)
-        elif isinstance(record, Statistics):
-            statistics = record
-        elif isinstance(record, Schema | Channel):
-            records.define(record)
-            if isinstance(record, Channel):
-                schemas.add(record.schema_id)
-        elif isinstance(record, Chunk | Message):
-            return None
-    if statistics is None or len(chunks) != statistics.chunk_count:
-        return None
-    if sum(chunk.uncompressed_size for chunk in chunks) > most_bytes(size):
-        return None
-    channels = records.channels
-    counts = Counter[ChannelInfo]()
-    for identity, info in channels.items():
-        counts[info] += statistics.channel_message_counts.get(identity, 0)
-    complete = counts.total() == statistics.message_count and schemas <= {0, *records.schemas}
-    # Messages outside of chunks have no index.
-    if not complete or (statistics.message_count and not chunks):
-        return None
-    parts = [
-        _Part(
-            chunk.chunk_start_offset,
-            chunk.chunk_length,
-            chunk.uncompressed_size,
-            (chunk.message_start_time, chunk.message_end_time),
-            frozenset(channels[k].topic for k in chunk.message_index_offsets if k in channels),
-        )
-        for chunk in chunks
-    ]
-    return parts, counts
 
 
 def _begins_there(stream: BinaryIO, part: _Part) -> bool:
