@@ -31,6 +31,7 @@ setup(
     package_data={
         PACKAGE: ['py.typed'],
         f'{PACKAGE}.evaluation.report': ['page.html.j2', 'page.css', 'page.js'],
+        f'{PACKAGE}.batch': ['page.html.j2'],
     },
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{PACKAGE}']),

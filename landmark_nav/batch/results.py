@@ -6,6 +6,7 @@ import base64
 from collections.abc import Callable, Mapping, Sequence
 import csv
 from dataclasses import dataclass
+from importlib.resources import files
 from io import StringIO
 import json
 from math import isfinite
@@ -166,7 +167,8 @@ def page(
     shown = [(row, _thumbnails(by_name[row['run']], results)) for row in good]
     failures = [row for row in rows if row['failure']]
     values = {'title': title, 'shown': shown, 'columns': columns, 'changes': changes}
-    template = Environment(autoescape=True).from_string(_PAGE)
+    source = files(__package__).joinpath('page.html.j2').read_text(encoding='utf-8')
+    template = Environment(autoescape=True).from_string(source)
     return template.render(values, failures=failures, cell=_cell)
 
 
@@ -189,32 +191,3 @@ def _thumbnails(run: Run, results: Path) -> list[tuple[str, str]]:
         target = report if report.is_file() else file
         images.append((str(target.relative_to(results)), data))
     return images
-
-
-_PAGE = """<!doctype html>
-<html lang="en"><meta charset="utf-8"><meta name="viewport" content="width=device-width">
-<title>{{ title }}</title>
-<style>
-:root{color-scheme:light dark}body{font:16px/1.4 sans-serif;margin:1rem auto;max-width:80rem;
-padding:0 1rem}table{border-collapse:collapse;display:block;overflow-x:auto}td,th{padding:.2rem
-.6rem;border-bottom:1px solid #8886;text-align:right;white-space:nowrap}td:first-child,
-th:first-child,.left{text-align:left}.left{white-space:normal}img{background:#fff;width:120px}
-.worse{font-weight:bold}
-</style>
-<h1>{{ title }}</h1>
-<p>Runs done: {{ shown | length }}, failed: {{ failures | length }}.</p>
-{% if changes %}<h2>Against the earlier batch</h2>
-<table><tr><th>figure<th>runs<th>before<th>after<th>change<th>95 % interval<th class=left>verdict
-{% for c in changes %}<tr><td>{{ c.name }}<td>{{ c.runs }}<td>{{ cell(c.before) }}
-<td>{{ cell(c.after) }}<td>{{ cell(c.change) }}<td>{{ cell(c.low) }} to {{ cell(c.high) }}
-<td class="left{{ ' worse' if c.worse }}">{{ 'worse' if c.worse else '' }}{% endfor %}</table>
-{% endif %}{% if failures %}<h2>Failures</h2>
-<table><tr><th>run<th class=left>reason
-{% for row in failures %}<tr><td>{{ row.run }}<td class=left>{{ row.failure }}{% endfor %}
-</table>{% endif %}{% if shown %}<h2>Runs</h2>
-<table><tr><th>run<th>{% for name in columns %}<th>{{ name }}{% endfor %}
-{% for row, images in shown %}<tr><td>{{ row.run }}<td>{% for link, data in images %}<a
-href="{{ link }}"><img src="data:image/png;base64,{{ data }}" alt="{{ row.run }}"></a> {% endfor %}
-{% for name in columns %}<td>{{ cell(row.get(name)) }}{% endfor %}{% endfor %}</table>{% endif %}
-</html>
-"""

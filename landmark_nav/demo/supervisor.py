@@ -154,6 +154,12 @@ class Interruption:
         self._noted = number
 
 
+_NODES = (
+    *('sweep_capture', 'panorama_synthesizer', 'landmark_learner'),
+    *('triplet_selector', 'triangulation_localizer', 'odometry_fusion'),
+)
+
+
 def node_command(
     name: str, namespace: str = '', parameter_file: Path | None = None, **parameters: object
 ) -> list[str]:
@@ -187,23 +193,19 @@ def node_commands(
     `robot_file`; if it is None, there is no simulator. Without `room_file`, the nodes estimate
     walls and poses. The other arguments are parameters of the nodes.
     """
-    robot, room = str(robot_file), str(room_file or '')
-    camera: dict[str, object] = {'robot_file': robot}
-    if image_transport:
-        camera['image_transport'] = image_transport
-    learner = {'robot_file': robot, 'room_file': room, 'map_folder': str(map_folder)}
-    given: dict[str, dict[str, object]] = {
-        'sweep_capture': camera,
-        'panorama_synthesizer': {'robot_file': robot, 'room_file': room},
-        'landmark_learner': {**learner, 'load_on_start': load_on_start},
-        'triplet_selector': {'robot_file': robot},
-        'triangulation_localizer': camera,
-        'odometry_fusion': {'robot_file': robot},
+    # A node reads those of them that it declares.
+    parameters: dict[str, object] = {
+        'robot_file': str(robot_file),
+        'room_file': str(room_file or ''),
+        'map_folder': str(map_folder),
+        'load_on_start': load_on_start,
     }
-    if composed:
-        given = {'all_nodes': {k: v for one in given.values() for k, v in one.items()}}
+    if image_transport:
+        parameters['image_transport'] = image_transport
+    given = dict.fromkeys(['all_nodes'] if composed else _NODES, parameters)
     if simulator is not None:
-        given = {'room_simulator': {'robot_file': robot, **simulator}} | given
+        robot = {'robot_file': parameters['robot_file']}
+        given = {'room_simulator': {**robot, **simulator}} | given
     return {
         name: node_command(name, namespace, parameter_file, **parameters)
         for name, parameters in given.items()
