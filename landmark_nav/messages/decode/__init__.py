@@ -6,7 +6,6 @@ arrays may be NumPy arrays, array.array, bytes or lists. It raises `LandmarkNavE
 missing or of another type, or a value is not a number or not within its bounds.
 """
 
-from landmark_nav.messages.decode.cameras import camera_info, camera_model, CameraInfo
 from landmark_nav.messages.decode.headers import (
     check_frame,
     is_unstamped,
@@ -14,7 +13,15 @@ from landmark_nav.messages.decode.headers import (
     set_stamp,
     stamp_ns,
 )
-from landmark_nav.messages.decode.images import BitDepth, camera_image, image, published_size
+from landmark_nav.messages.decode.images import (
+    BitDepth,
+    camera_image,
+    camera_info,
+    camera_model,
+    CameraInfo,
+    image,
+    published_size,
+)
 from landmark_nav.messages.decode.joints import (
     joint_angles,
     JointNames,

@@ -5,7 +5,6 @@ The first argument of every function is a `MessageFactory`: the same code builds
 rosbags for bags and ROS messages for topics.
 """
 
-from landmark_nav.messages.encode.images import camera_info, compressed_image, image, panorama
 from landmark_nav.messages.encode.markers import (
     landmark_map,
     landmark_markers,
@@ -13,13 +12,17 @@ from landmark_nav.messages.encode.markers import (
     view_markers,
 )
 from landmark_nav.messages.encode.poses import (
+    camera_info,
     camera_transform,
+    compressed_image,
     detections,
     expectation,
     global_pose,
+    image,
     joint_state,
     joint_transforms,
     odometry,
+    panorama,
     planar_transform,
     pose,
     pose_stamped,

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from landmark_nav.geometry.camera import CameraModel, INTRINSICS, PanTiltMount
 from landmark_nav.geometry.walls import Wall
 from landmark_nav.messages.clouds import LANDMARKS, pack_cloud
-from landmark_nav.messages.encode.images import image
+from landmark_nav.messages.encode.poses import image
 from landmark_nav.messages.factory import header, MessageFactory, upright, vector
 from landmark_nav.types import (
     Detections,
