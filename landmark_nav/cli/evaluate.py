@@ -129,7 +129,6 @@ def run(args: argparse.Namespace) -> int:
     learned = replace(config, odometry=done.odometry_noise)
     report = run_report.run_report(done, landmarks, calibration, learned) | in_frame
     report['checks'] = [finding.report() for finding in diagnosis.findings]
-    report['integrity'] = run_report.integrity_report(done)
     smoothed = None
     if args.smooth:
         smoothed = run_report.smooth_run(done, landmarks, calibration, learned)

@@ -175,13 +175,9 @@ def figures(run: Replay, landmarks: LandmarkMap) -> tuple[dict[str, Any], Replay
     the scale of the map.
     """
     walls = len({landmark.wall_id for landmark in landmarks.landmarks} - {''})
-    of_run: dict[str, Any] = {'spells': run_report.spells(run), 'walls': walls}
     run, in_frame = run_report.against_truth(run, landmarks)
-    if in_frame:
-        of_run['scale_sigma'] = float(landmarks.provenance['scale_sigma'])
-    else:
-        of_run['integrity'] = run_report.integrity_report(run)
-    return run_report.pose_report(run, landmarks) | of_run | in_frame, run
+    measured = run_report.pose_report(run, landmarks) | in_frame | {'walls': walls}
+    return measured | {'scale_sigma': landmarks.scale_sigma}, run
 
 
 def judge(measured: dict[str, Any]) -> list[Check]:

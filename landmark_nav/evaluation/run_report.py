@@ -61,7 +61,6 @@ def run_report(
         'update_ms': {'median': median_ms, 'p95': p95_ms},
         'realtime_factor': span_s / run.seconds,
         'result_hash': metrics.result_hash(stamps, run.fused, run.fixes),
-        'spells': spells(run),
         'calibration': run.calibration and run.calibration.differences(calibration),
         'odometry_noise': {name: getattr(run.odometry_noise, name) for name in _NOISE},
         'sighting_sigma': run.detection_sigma_factor,
@@ -111,6 +110,8 @@ def pose_report(
             'heading_median_deg': float(np.degrees(np.median(sigma[:, 2]))),
         },
         'silently_wrong': _undetected(run),
+        'spells': spells(run),
+        'integrity': integrity_report(run),
     }
 
 
