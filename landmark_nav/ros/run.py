@@ -10,10 +10,11 @@ import gc
 import logging
 import os
 from pathlib import Path
+from queue import Empty, SimpleQueue
 import signal
 import struct
 import sys
-from threading import Condition, Event, Thread
+from threading import Event, Thread
 import time
 from types import FrameType
 from typing import Any
@@ -162,19 +163,17 @@ class LatestOnlyWorker:
 
     def __init__(self, work: Callable[[Any], None]) -> None:
         self._work = work
-        self._waiting: Any = None
-        self._changed = Condition()
+        self._waiting: SimpleQueue[Any] = SimpleQueue()
         self.dropped = 0
-        self._closed = False
         self._thread = Thread(target=self._run, daemon=True)
         self._thread.start()
 
     def take(self, message: Any) -> None:
         """Hand over a message and return at once."""
-        with self._changed:
-            self.dropped += self._waiting is not None
-            self._waiting = message
-            self._changed.notify()
+        with suppress(Empty):
+            self._waiting.get_nowait()
+            self.dropped += 1
+        self._waiting.put(message)
 
     def close(self) -> None:
         """
@@ -182,18 +181,11 @@ class LatestOnlyWorker:
 
         Python aborts a process that ends while such a thread runs C++ code (issue 1484 of rclpy).
         """
-        with self._changed:
-            self._closed = True
-            self._changed.notify()
+        self.take(None)
         self._thread.join()
 
     def _run(self) -> None:
-        while True:
-            with self._changed:
-                self._changed.wait_for(lambda: self._closed or self._waiting is not None)
-                if self._closed:
-                    return
-                message, self._waiting = self._waiting, None
+        while (message := self._waiting.get()) is not None:
             self._work(message)
 
 
