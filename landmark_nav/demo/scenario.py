@@ -12,6 +12,7 @@ import time
 from typing import Any, TYPE_CHECKING, TypeVar
 
 import numpy as np
+from tqdm import tqdm
 
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation import run_report
@@ -275,10 +276,14 @@ class Narrator:
     """
 
     def __init__(self) -> None:
-        self._stream = sys.stdout
         self._begin = time.monotonic()
-        self._shown = 0.0
-        self._drawn = False
+        look: dict[str, Any] = {
+            'bar_format': '{desc}',
+            'mininterval': _REFRESH_S,
+            'miniters': 1,
+            'leave': False,
+        }
+        self._bar: Any = tqdm(file=sys.stdout, disable=None, **look)
 
     @property
     def seconds(self) -> float:
@@ -287,31 +292,23 @@ class Narrator:
 
     def title(self, text: str) -> None:
         """Print the title of a new step."""
-        self._clear()
-        bold = f'\033[1m{text}\033[0m' if self._stream.isatty() else text
-        self._write(f'\n[{self.seconds:5.1f} s] {bold}\n')
+        bold = f'\033[1m{text}\033[0m' if sys.stdout.isatty() else text
+        self._print(f'\n[{self.seconds:5.1f} s] {bold}')
 
     def print_line(self, text: str) -> None:
         """Print a result."""
-        self._clear()
-        self._write(f'          {text}\n')
+        self._print(f'          {text}')
 
     def status(self, text: str) -> None:
         """Show the progress, in place of the previous one."""
-        if not self._stream.isatty() or time.monotonic() - self._shown < _REFRESH_S:
-            return
-        self._shown = time.monotonic()
-        self._drawn = True
-        self._write(f'\r\033[K          ... {text}')
+        self._bar.set_description_str(f'          ... {text}', refresh=False)
+        self._bar.update()
 
-    def _clear(self) -> None:
-        if self._drawn:
-            self._write('\r\033[K')
-            self._drawn = False
-
-    def _write(self, text: str) -> None:
-        self._stream.write(text)
-        self._stream.flush()
+    def _print(self, text: str) -> None:
+        """Print a text, which ends the progress before it."""
+        self._bar.set_description_str('', refresh=False)
+        tqdm.write(text, file=sys.stdout)
+        sys.stdout.flush()
 
 
 # Speed of the robot, and least period of its control.
