@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from landmark_nav.errors import LandmarkNavError, shown
 from landmark_nav.geometry.camera import BODY_FROM_OPTICAL
@@ -97,9 +98,8 @@ def robot_of_urdf(text: str, camera_frame: str = '') -> dict[str, Any]:
     center, camera = _along(chain[number + 1 :])
     # In a frame with z along the pan axis. The yaw of the camera in it adds to the pan.
     center, camera = of_axis.T @ center, of_axis.T @ camera @ BODY_FROM_OPTICAL.T
-    yaw = math.atan2(camera[1, 0], camera[0, 0])
-    tilt = math.asin(min(max(float(camera[2, 0]), -1.0), 1.0))
-    roll = math.atan2(camera[2, 1], camera[2, 2])
+    roll, pitch, yaw = _rpy(camera)
+    tilt = -pitch
     if abs(tilt) > math.pi / 4.0:
         (frame,) = chains
         how = 'give a frame with z along the view, x to the right'
@@ -228,6 +228,5 @@ def _onto(axis: FloatArray) -> FloatArray:
 
 def _rpy(rotation: FloatArray) -> list[float]:
     """Roll, pitch, yaw of a rotation (3, 3), as `rotation_rpy`."""
-    pitch = math.asin(min(max(-float(rotation[2, 0]), -1.0), 1.0))
-    roll = math.atan2(rotation[2, 1], rotation[2, 2])
-    return [roll, pitch, math.atan2(rotation[1, 0], rotation[0, 0])]
+    angles: list[float] = Rotation.from_matrix(rotation).as_euler('xyz').tolist()
+    return angles
