@@ -166,17 +166,23 @@ COMMON = {
     'principal_point': 'principal_point',
 }
 CORRECTED = [NAMES.index(name) for name in COMMON.values()]
+_OFFSET = [list(COMMON).index(name) for name in ('forward', 'left')]
 _STEPS = np.array([1e-5, 1e-4, 1e-6, 1e-6, 1e-6, 1e-4, 1e-4, 1e-5])
-_ITERATIONS = 12
+_ITERATIONS, _NOISE_ROUNDS = 12, 3
 _CONVERGED_PX = 5e-3
 _NEAR_PX = 0.3
 # Bias of tracking in any pattern, which does not decrease with the number of points.
 _BIAS_PX = 0.003
-# Relative sigma of the range of an object that may stand anywhere between the camera and the wall
-# (uniform), and its size as seen, 0.6 m at 3 m; step of numerical differentiation.
-_RANGE_SHARE, _OBJECT_RAD, _RANGE_STEP = 12.0**-0.5, 0.2, 1e-3
+# An object has one range, and a size as seen, 0.6 m at 3 m. Relative sigma of the inverse range of
+# one on the wall behind it, 10 cm at 3 m, and of one anywhere, from 0.3 m to infinity; share of
+# objects on walls; number of objects that neighbours of one are part of, so that they are one
+# piece of evidence about their distance from walls; step of numerical differentiation.
+_OBJECT_RAD, _HANGING_SHARE, _ANYWHERE_SHARE, _HANGING, _PARTS = 0.2, 0.03, 3.0, 0.7, 10.0
+_RANGE_STEP = 1e-3
 # Relative sigma of all ranges: 10 cm in front of the walls, at 3 m; of ranges that are a guess.
 _ROOM_SHARE, _GUESS_SHARE = 0.03, 0.5
+# Offsets from the axis that fits start with, m; iterations before the offset and ranges join in.
+_OFFSETS_M, _DIRECTIONS, _HELD = 0.02, 8, 2
 
 RangeOfRay = Callable[[FloatArray, FloatArray], FloatArray]
 Whitening = Callable[[FloatArray], FloatArray]
@@ -196,6 +202,34 @@ class Fit:
     covariance: FloatArray
     frames: FloatArray
     weight: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class _Noise:
+    """
+    Errors of matches and of ranges at one set of unknowns.
+
+    `weight` (m,) are those of matches; `by_range` (m, 2) are derivatives of residuals by the
+    relative inverse range of each object, with this `variance` (k,), both None without ranges.
+    `cost` is minus twice the logarithm of the likelihood.
+    """
+
+    sigma_px: float
+    weight: FloatArray
+    cost: float
+    by_range: FloatArray | None = None
+    variance: FloatArray | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class _Optimum:
+    """Unknowns of a local optimum, with its noise, whitened Jacobian and normal equations."""
+
+    cost: float
+    x: FloatArray
+    noise: _Noise
+    flat: FloatArray
+    normal: FloatArray
 
 
 class OverlapProblem:
@@ -225,6 +259,7 @@ class OverlapProblem:
         self._slopes: tuple[FloatArray, FloatArray] | None = None
         self._range: FloatArray | None = None
         self._room_share = _GUESS_SHARE if guessed else _ROOM_SHARE
+        self._shares = np.array([_GUESS_SHARE if guessed else _HANGING_SHARE, _ANYWHERE_SHARE])
         self._object: IndexArray | None = None
         if range_m is not None:
             azimuth, tangent = (rays[:, 0] for rays in self._seen(self._last))
@@ -238,44 +273,89 @@ class OverlapProblem:
 
         `frame_sigma` (3,) are sigmas of pan, tilt and roll of a frame about the given ones, rad.
         """
-        focal, x = self._camera.fx, self._last.copy()
-        index = np.concatenate([np.asarray(free, np.intp), np.arange(len(COMMON), len(x))])
-        precision = np.zeros(len(x))
+        every = np.arange(len(self._last))
+        index = np.concatenate([np.asarray(free, np.intp), every[len(COMMON) :]])
+        start = np.where(np.isin(every, index), self._last, 0.0)
+        precision = np.zeros(len(start))
         precision[len(COMMON) :] = np.tile(1.0 / np.square(frame_sigma), len(self._angles))
-        x[np.setdiff1d(np.arange(len(x)), index)] = 0.0
-        damping = Damping()
-        for _ in range(_ITERATIONS):
-            off = self._misfit(x)
-            distance = focal * np.linalg.norm(off, axis=1)
-            # Median of a Rayleigh distribution.
-            sigma_px = max(float(np.median(distance)) / 1.1774, 1e-3)
-            weight = 1.0 / (1.0 + (distance / (2.0 * sigma_px)) ** 2)
-            slopes = self._slopes_at(x, off)[..., index]
-            scale = np.sqrt(weight) * focal / sigma_px
-            whiten = self._whitening(x, off, scale)
-            flat = whiten((slopes * scale[:, None, None]).reshape(-1, len(index)))
-            normal = flat.T @ flat + np.diag(precision[index])
-            right = flat.T @ whiten((off * scale[:, None]).ravel()) + precision[index] * x[index]
-            before = x
-
-            def cost(
-                at: FloatArray, whiten: Whitening = whiten, scale: FloatArray = scale
-            ) -> float:
-                left = whiten((self._misfit(at) * scale[:, None]).ravel())
-                return float(left @ left + precision @ at**2)
-
-            x = self._stepped(before, index, normal, right, cost, damping)
-            if focal * np.abs(x - before).max() < _CONVERGED_PX:
-                break
-        self._last = x
-        spread = covariance_of(normal)
-        by_pattern = float(weight.sum()) * (_BIAS_PX / sigma_px) ** 2
-        spread += by_pattern * spread @ (flat.T @ flat) @ spread
+        found = [self._optimum(start, index, precision)]
+        # Things before or beyond the walls look like another offset of the camera, which is a
+        # local optimum: the likeliest of several is the result.
+        if self._range is not None and set(_OFFSET) <= set(free):
+            for around in 2.0 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS:
+                start = np.zeros(len(every))
+                start[_OFFSET] = _OFFSETS_M * np.array([np.cos(around), np.sin(around)])
+                found.append(self._optimum(start, index, precision))
+        best = min(found, key=lambda optimum: optimum.cost)
+        self._last, weight = best.x, best.noise.weight
+        spread = covariance_of(best.normal)
+        by_pattern = float(weight.sum()) * (_BIAS_PX / best.noise.sigma_px) ** 2
+        spread += by_pattern * spread @ (best.flat.T @ best.flat) @ spread
         covariance, own = np.zeros((len(COMMON), len(COMMON))), index[: len(free)]
         covariance[np.ix_(own, own)] = spread[: len(free), : len(free)]
-        every = np.zeros((self._count, 3))
-        every[self._used] = x[len(COMMON) :].reshape(-1, 3)
-        return Fit(x[: len(COMMON)], covariance, every, weight)
+        turns = np.zeros((self._count, 3))
+        turns[self._used] = best.x[len(COMMON) :].reshape(-1, 3)
+        return Fit(best.x[: len(COMMON)], covariance, turns, weight)
+
+    def _optimum(self, x: FloatArray, index: IndexArray, precision: FloatArray) -> _Optimum:
+        """Local optimum from a start; the unknowns at `index` are free."""
+        focal, damping = self._camera.fx, Damping()
+        held = _HELD if x[_OFFSET].any() else 0
+        for n in range(_ITERATIONS + held):
+            free_ranges = n < held
+            which = np.setdiff1d(index, _OFFSET) if free_ranges else index
+            off = self._misfit(x)
+            noise = self._noise(x, off, free_ranges)
+            slopes = self._slopes_at(x, off)[..., which]
+            scale = np.sqrt(noise.weight) * focal / noise.sigma_px
+            whiten = self._whitening(noise, scale)
+            flat = whiten((slopes * scale[:, None, None]).reshape(-1, len(which)))
+            normal = flat.T @ flat + np.diag(precision[which])
+            right = flat.T @ whiten((off * scale[:, None]).ravel()) + precision[which] * x[which]
+
+            def cost(at: FloatArray, free_ranges: bool = free_ranges) -> float:
+                there = self._noise(at, self._misfit(at), free_ranges)
+                return there.cost + float(precision @ at**2)
+
+            before, x = x, self._stepped(x, which, normal, right, cost, damping)
+            if not free_ranges and focal * np.abs(x - before).max() < _CONVERGED_PX:
+                break
+        return _Optimum(cost(x), x, noise, flat, normal)
+
+    def _noise(self, x: FloatArray, off: FloatArray, free_ranges: bool = False) -> _Noise:
+        """Errors of matches by what ranges of their own leave of residuals (m, 2)."""
+        # The relative inverse range of an object is that of its wall, or any: a mixture of two
+        # normal distributions, of which the parallax of the object tells. Things that nobody
+        # expects show their own range so, and do not bend the lens.
+        focal, pixels = self._camera.fx, off
+        if self._range is not None and self._object is not None:
+            given, self._range = self._range, self._range / (1.0 + _RANGE_STEP)
+            by_range = (self._misfit(x) - off) / _RANGE_STEP
+            self._range = given
+        for _ in range(_NOISE_ROUNDS):
+            distance = focal * np.linalg.norm(pixels, axis=1)
+            # Median of a Rayleigh distribution.
+            sigma_px = max(float(np.median(distance)) / 1.1774, 1e-3)
+            square = (distance / (2.0 * sigma_px)) ** 2
+            # Student's t with four degrees of freedom, in the plane.
+            weight = 1.0 / (1.0 + square)
+            cost = float(4.0 * len(off) * np.log(sigma_px) + 6.0 * np.sum(np.log1p(square)))
+            if self._range is None or self._object is None:
+                return _Noise(sigma_px, weight, cost)
+            precise = weight * (focal / sigma_px) ** 2
+            size = np.maximum(np.bincount(self._object, precise * np.sum(by_range**2, 1)), 1e-9)
+            seen = np.bincount(self._object, precise * np.sum(by_range * off, 1)) / size
+            prior = self._shares**2
+            spread = prior + 1.0 / size[:, None]
+            chance = np.array([_HANGING, 1.0 - _HANGING]) / np.sqrt(spread)
+            likely = np.maximum(chance * np.exp(-0.5 * seen[:, None] ** 2 / spread), 1e-300)
+            total = likely.sum(1)
+            share = np.array([[0.0, 1.0]]) if free_ranges else likely / total[:, None]
+            # Nothing is beyond infinity.
+            nearer = np.minimum(np.sum(share * prior / spread, 1) * seen, 1.0)
+            pixels = off - by_range * nearer[self._object][:, None]
+            cost += float(np.sum(np.log(size) - 2.0 * np.log(total))) / _PARTS
+        return _Noise(sigma_px, weight, cost, by_range, _PARTS / np.sum(share / prior, 1))
 
     def _stepped(
         self,
@@ -295,24 +375,18 @@ class OverlapProblem:
 
         return damping.step(x, stepped, cost)
 
-    def _whitening(self, x: FloatArray, here: FloatArray, scale: FloatArray) -> Whitening:
+    def _whitening(self, noise: _Noise, scale: FloatArray) -> Whitening:
         """Return a function that whitens residuals and slopes (2 m, ...) for errors of ranges."""
-        # One relative error is common to all matches of an object, another to all of the room, as
-        # most things stand in front of walls: with derivatives j by the error of an object, the
-        # covariance of their residuals is ``1 + v j j^T``. Most objects hang on the walls, so the
-        # variance v of each is estimated by its own parallax (one step of expectation
-        # maximization).
-        if self._range is None or self._object is None:
+        # One error is common to all matches of an object, another to all of the room, as most
+        # things stand in front of walls: with derivatives j by the error of an object, the
+        # covariance of their residuals is ``1 + v j j^T``.
+        if noise.by_range is None or noise.variance is None or self._object is None:
             return lambda rows: rows
-        given, self._range = self._range, self._range * (1.0 + _RANGE_STEP)
-        by_range = (self._misfit(x) - here) * scale[:, None] / _RANGE_STEP
-        self._range = given
+        by_range = noise.by_range * scale[:, None]
         square = np.bincount(self._object, np.sum(by_range**2, 1))
         place = np.repeat(self._object, 2), np.arange(by_range.size)
         along = csr_array((by_range.ravel(), place))
-        unknown = 1.0 / (square + _RANGE_SHARE**-2)
-        variance = (unknown * (along @ (here * scale[:, None]).ravel())) ** 2 + unknown
-        share = _whitening_share(variance, square)
+        share = _whitening_share(noise.variance, square)
 
         def by_object(rows: FloatArray) -> FloatArray:
             return np.asarray(rows - along.T @ ((share * (along @ rows).T).T))
