@@ -209,13 +209,15 @@ class _Noise:
     """
     Errors of matches and of ranges at one set of unknowns.
 
-    `weight` (m,) are those of matches; `by_range` (m, 2) are derivatives of residuals by the
-    relative inverse range of each object, with this `variance` (k,), both None without ranges.
-    `cost` is minus twice the logarithm of the likelihood.
+    `weight` (m,) are those of matches, and `rest` (m, 2) their residuals without what ranges of
+    objects explain. `by_range` (m, 2) are derivatives of residuals by the relative inverse range
+    of each object, with this `variance` (k,), both None without ranges. `cost` is minus twice the
+    logarithm of the likelihood.
     """
 
     sigma_px: float
     weight: FloatArray
+    rest: FloatArray
     cost: float
     by_range: FloatArray | None = None
     variance: FloatArray | None = None
@@ -327,13 +329,13 @@ class OverlapProblem:
         # The relative inverse range of an object is that of its wall, or any: a mixture of two
         # normal distributions, of which the parallax of the object tells. Things that nobody
         # expects show their own range so, and do not bend the lens.
-        focal, pixels = self._camera.fx, off
+        focal, rest = self._camera.fx, off
         if self._range is not None and self._object is not None:
             given, self._range = self._range, self._range / (1.0 + _RANGE_STEP)
             by_range = (self._misfit(x) - off) / _RANGE_STEP
             self._range = given
         for _ in range(_NOISE_ROUNDS):
-            distance = focal * np.linalg.norm(pixels, axis=1)
+            distance = focal * np.linalg.norm(rest, axis=1)
             # Median of a Rayleigh distribution.
             sigma_px = max(float(np.median(distance)) / 1.1774, 1e-3)
             square = (distance / (2.0 * sigma_px)) ** 2
@@ -341,7 +343,7 @@ class OverlapProblem:
             weight = 1.0 / (1.0 + square)
             cost = float(4.0 * len(off) * np.log(sigma_px) + 6.0 * np.sum(np.log1p(square)))
             if self._range is None or self._object is None:
-                return _Noise(sigma_px, weight, cost)
+                return _Noise(sigma_px, weight, rest, cost)
             precise = weight * (focal / sigma_px) ** 2
             size = np.maximum(np.bincount(self._object, precise * np.sum(by_range**2, 1)), 1e-9)
             seen = np.bincount(self._object, precise * np.sum(by_range * off, 1)) / size
@@ -353,9 +355,9 @@ class OverlapProblem:
             share = np.array([[0.0, 1.0]]) if free_ranges else likely / total[:, None]
             # Nothing is beyond infinity.
             nearer = np.minimum(np.sum(share * prior / spread, 1) * seen, 1.0)
-            pixels = off - by_range * nearer[self._object][:, None]
+            rest = off - by_range * nearer[self._object][:, None]
             cost += float(np.sum(np.log(size) - 2.0 * np.log(total))) / _PARTS
-        return _Noise(sigma_px, weight, cost, by_range, _PARTS / np.sum(share / prior, 1))
+        return _Noise(sigma_px, weight, rest, cost, by_range, _PARTS / np.sum(share / prior, 1))
 
     def _stepped(
         self,
@@ -403,7 +405,7 @@ class OverlapProblem:
 
     def misfit_px(self, common: FloatArray, frames: FloatArray | None = None) -> float:
         """Median distance of the two rays of a match, pixels."""
-        off = np.linalg.norm(self._misfit(self._unknowns(common, frames)), axis=1)
+        off = np.linalg.norm(self._rest(common, frames), axis=1)
         return self._camera.fx * float(np.median(off))
 
     def closure_rad(self, fit: Fit) -> float | None:
@@ -411,14 +413,15 @@ class OverlapProblem:
         if not self._overlaps.closed:
             return None
         pair = self._overlaps.pair
-        off = self._misfit(self._unknowns(fit.common, fit.frames))[:, 0]
+        off = self._rest(fit.common, fit.frames)[:, 0]
         total = np.bincount(pair, fit.weight * off)
         return float(np.sum(total / np.maximum(np.bincount(pair, fit.weight), 1e-9)))
 
-    def _unknowns(self, common: FloatArray, frames: FloatArray | None) -> FloatArray:
-        """Common terms (8,), then pan, tilt and roll of each frame with matches."""
+    def _rest(self, common: FloatArray, frames: FloatArray | None) -> FloatArray:
+        """Residuals (m, 2) without what the ranges of objects explain."""
         turns = np.zeros_like(self._angles) if frames is None else frames[self._used]
-        return np.append(common, turns)
+        x = np.append(common, turns)
+        return self._noise(x, self._misfit(x)).rest
 
     def _misfit(self, x: FloatArray) -> FloatArray:
         """Differences (m, 2) in azimuth and tangent between the two rays of each match."""
