@@ -239,7 +239,7 @@ def consistent(panoramas: Sequence[Panorama]) -> list[Panorama]:
     is usual for inconsistent measurements (Birge, Physical Review 40, 1932).
     """
     known = [p.calibration for p in panoramas if p.calibration is not None]
-    if len(known) < 2 or len({calibration.intrinsics for calibration in known}) > 1:
+    if len(known) < 2 or not all(known[0].same_camera(k) for k in known):
         return list(panoramas)
     shown = np.array(CORRECTED)[np.all([k.sigmas[CORRECTED] > 0.0 for k in known], axis=0)]
     values = np.array([k.values[shown] for k in known])
