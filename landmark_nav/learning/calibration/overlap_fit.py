@@ -9,7 +9,7 @@ fit is robust, with sigmas from the scatter of the residuals.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import pairwise
 
@@ -178,7 +178,7 @@ _BIAS_PX = 0.003
 # objects on walls; number of objects that neighbours of one are part of, so that they are one
 # piece of evidence about their distance from walls; step of numerical differentiation.
 _OBJECT_RAD, _HANGING_SHARE, _ANYWHERE_SHARE, _HANGING, _PARTS = 0.2, 0.03, 3.0, 0.7, 10.0
-_RANGE_STEP = 1e-3
+_RANGE_STEP, _LEAST_INVERSE = 1e-3, 1e-3
 # Relative sigma of all ranges: 10 cm in front of the walls, at 3 m; of ranges that are a guess.
 _ROOM_SHARE, _GUESS_SHARE = 0.03, 0.5
 # Offsets from the axis that fits start with, m; iterations before the offset and ranges join in.
@@ -196,12 +196,24 @@ class Fit:
     `common` (8,) are the values of `COMMON`, with their covariance (8, 8), zero for fixed terms,
     by the scatter of the matches and by biases of tracking in any pattern; `frames` (n, 3) are
     pan, tilt and roll of each frame, zero without matches; `weight` (m,) are those of the matches.
+    `cells` (k, 2) are those of azimuth and tangent of the objects that are not on walls, and
+    `farther` (k,) by how much their inverse range is less than that of the walls, relative to it.
     """
 
     common: FloatArray
     covariance: FloatArray
     frames: FloatArray
     weight: FloatArray
+    cells: IndexArray = field(default_factory=lambda: np.zeros((0, 2), np.intp))
+    farther: FloatArray = field(default_factory=lambda: np.zeros(0))
+
+    def range_m(self, wall_m: FloatArray, azimuth: FloatArray, tangent: FloatArray) -> FloatArray:
+        """Range of what is seen in directions (...) with walls at `wall_m` (...), of any shape."""
+        place = _cells(azimuth, tangent)
+        inverse: FloatArray = np.ones(place.shape[:-1])
+        for cell, farther in zip(self.cells, self.farther, strict=True):
+            inverse[(place == cell).all(-1)] = 1.0 - farther
+        return np.asarray(wall_m / np.maximum(inverse, _LEAST_INVERSE))
 
 
 @dataclass(frozen=True, eq=False)
@@ -211,8 +223,8 @@ class _Noise:
 
     `weight` (m,) are those of matches, and `rest` (m, 2) their residuals without what ranges of
     objects explain. `by_range` (m, 2) are derivatives of residuals by the relative inverse range
-    of each object, with this `variance` (k,), both None without ranges. `cost` is minus twice the
-    logarithm of the likelihood.
+    of each object, with this `variance` (k,), which is `farther` (k,) than the wall, or 0 on it;
+    all are None without ranges. `cost` is minus twice the logarithm of the likelihood.
     """
 
     sigma_px: float
@@ -221,6 +233,7 @@ class _Noise:
     cost: float
     by_range: FloatArray | None = None
     variance: FloatArray | None = None
+    farther: FloatArray | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -263,11 +276,12 @@ class OverlapProblem:
         self._room_share = _GUESS_SHARE if guessed else _ROOM_SHARE
         self._shares = np.array([_GUESS_SHARE if guessed else _HANGING_SHARE, _ANYWHERE_SHARE])
         self._object: IndexArray | None = None
+        self._cells = np.zeros((0, 2), np.intp)
         if range_m is not None:
             azimuth, tangent = (rays[:, 0] for rays in self._seen(self._last))
             self._range = range_m(azimuth, tangent)
-            place = np.floor(np.stack([azimuth, tangent], 1) / _OBJECT_RAD)
-            self._object = np.unique(place, axis=0, return_inverse=True)[1].ravel()
+            place = np.unique(_cells(azimuth, tangent), axis=0, return_inverse=True)
+            self._cells, self._object = place[0], place[1].ravel()
 
     def fit(self, free: Sequence[int], frame_sigma: Sequence[float]) -> Fit:
         """
@@ -297,6 +311,10 @@ class OverlapProblem:
         covariance[np.ix_(own, own)] = spread[: len(free), : len(free)]
         turns = np.zeros((self._count, 3))
         turns[self._used] = best.x[len(COMMON) :].reshape(-1, 3)
+        cells, farther = self._cells, best.noise.farther
+        if farther is not None:
+            cells, farther = cells[farther != 0.0], farther[farther != 0.0]
+            return Fit(best.x[: len(COMMON)], covariance, turns, weight, cells, farther)
         return Fit(best.x[: len(COMMON)], covariance, turns, weight)
 
     def _optimum(self, x: FloatArray, index: IndexArray, precision: FloatArray) -> _Optimum:
@@ -354,10 +372,12 @@ class OverlapProblem:
             total = likely.sum(1)
             share = np.array([[0.0, 1.0]]) if free_ranges else likely / total[:, None]
             # Nothing is beyond infinity.
-            nearer = np.minimum(np.sum(share * prior / spread, 1) * seen, 1.0)
-            rest = off - by_range * nearer[self._object][:, None]
+            farther = np.minimum(np.sum(share * prior / spread, 1) * seen, 1.0)
+            rest = off - by_range * farther[self._object][:, None]
             cost += float(np.sum(np.log(size) - 2.0 * np.log(total))) / _PARTS
-        return _Noise(sigma_px, weight, rest, cost, by_range, _PARTS / np.sum(share / prior, 1))
+        variance = _PARTS / np.sum(share / prior, 1)
+        farther = np.where(share[:, 1] > 0.5, farther, 0.0)
+        return _Noise(sigma_px, weight, rest, cost, by_range, variance, farther)
 
     def _stepped(
         self,
@@ -477,6 +497,12 @@ class OverlapProblem:
                 column = len(COMMON) + 3 * self._links[:, side] + axis
                 out[row, :, column] += sign * change[..., side]
         return out
+
+
+def _cells(azimuth: FloatArray, tangent: FloatArray) -> IndexArray:
+    """Cells (..., 2) of directions; what one cell shows is one object."""
+    place = np.stack(np.broadcast_arrays(wrap_rad(azimuth), tangent), -1) / _OBJECT_RAD
+    return np.floor(place).astype(np.intp)
 
 
 def _whitening_share(variance: npt.ArrayLike, square: npt.ArrayLike) -> FloatArray:
