@@ -181,8 +181,9 @@ _OBJECT_RAD, _HANGING_SHARE, _ANYWHERE_SHARE, _HANGING, _PARTS = 0.2, 0.03, 3.0,
 _RANGE_STEP, _LEAST_INVERSE = 1e-3, 1e-3
 # Relative sigma of all ranges: 10 cm in front of the walls, at 3 m; of ranges that are a guess.
 _ROOM_SHARE, _GUESS_SHARE = 0.03, 0.5
-# Offsets from the axis that fits start with, m; iterations before the offset and ranges join in.
-_OFFSETS_M, _DIRECTIONS, _HELD = 0.02, 8, 2
+# Offsets from the axis that fits start with, m; iterations with free ranges before the offset is
+# free, and those after which the best fit is known.
+_OFFSETS_M, _DIRECTIONS, _HELD, _FIRST = 0.02, 8, 2, 4
 
 RangeOfRay = Callable[[FloatArray, FloatArray], FloatArray]
 Whitening = Callable[[FloatArray], FloatArray]
@@ -294,15 +295,17 @@ class OverlapProblem:
         start = np.where(np.isin(every, index), self._last, 0.0)
         precision = np.zeros(len(start))
         precision[len(COMMON) :] = np.tile(1.0 / np.square(frame_sigma), len(self._angles))
-        found = [self._optimum(start, index, precision)]
+        found = [self._optimum(start, index, precision, _ITERATIONS)]
         # Things before or beyond the walls look like another offset of the camera, which is a
         # local optimum: the likeliest of several is the result.
         if self._range is not None and set(_OFFSET) <= set(free):
             for around in 2.0 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS:
                 start = np.zeros(len(every))
                 start[_OFFSET] = _OFFSETS_M * np.array([np.cos(around), np.sin(around)])
-                found.append(self._optimum(start, index, precision))
+                found.append(self._optimum(start, index, precision, _FIRST, _HELD))
         best = min(found, key=lambda optimum: optimum.cost)
+        if best is not found[0]:
+            best = self._optimum(best.x, index, precision, _ITERATIONS)
         self._last, weight = best.x, best.noise.weight
         spread = covariance_of(best.normal)
         by_pattern = float(weight.sum()) * (_BIAS_PX / best.noise.sigma_px) ** 2
@@ -317,11 +320,17 @@ class OverlapProblem:
             return Fit(best.x[: len(COMMON)], covariance, turns, weight, cells, farther)
         return Fit(best.x[: len(COMMON)], covariance, turns, weight)
 
-    def _optimum(self, x: FloatArray, index: IndexArray, precision: FloatArray) -> _Optimum:
-        """Local optimum from a start; the unknowns at `index` are free."""
+    def _optimum(
+        self,
+        x: FloatArray,
+        index: IndexArray,
+        precision: FloatArray,
+        iterations: int,
+        held: int = 0,
+    ) -> _Optimum:
+        """Local optimum from a start; the unknowns at `index` are free, the offset later."""
         focal, damping = self._camera.fx, Damping()
-        held = _HELD if x[_OFFSET].any() else 0
-        for n in range(_ITERATIONS + held):
+        for n in range(iterations + held):
             free_ranges = n < held
             which = np.setdiff1d(index, _OFFSET) if free_ranges else index
             off = self._misfit(x)
