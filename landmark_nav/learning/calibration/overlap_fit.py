@@ -297,15 +297,15 @@ class OverlapProblem:
         precision[len(COMMON) :] = np.tile(1.0 / np.square(frame_sigma), len(self._angles))
         found = [self._optimum(start, index, precision, _ITERATIONS)]
         # Things before or beyond the walls look like another offset of the camera, which is a
-        # local optimum: the likeliest of several is the result.
+        # local optimum: the likeliest of several is the result. To choose it, all of a large thing
+        # is one piece of evidence; near it, walls are as even as their parts.
         if self._range is not None and set(_OFFSET) <= set(free):
             for around in 2.0 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS:
                 start = np.zeros(len(every))
                 start[_OFFSET] = _OFFSETS_M * np.array([np.cos(around), np.sin(around)])
                 found.append(self._optimum(start, index, precision, _FIRST, _HELD))
         best = min(found, key=lambda optimum: optimum.cost)
-        if best is not found[0]:
-            best = self._optimum(best.x, index, precision, _ITERATIONS)
+        best = self._optimum(best.x, index, precision, _ITERATIONS, parts=1.0)
         self._last, weight = best.x, best.noise.weight
         spread = covariance_of(best.normal)
         by_pattern = float(weight.sum()) * (_BIAS_PX / best.noise.sigma_px) ** 2
@@ -327,6 +327,7 @@ class OverlapProblem:
         precision: FloatArray,
         iterations: int,
         held: int = 0,
+        parts: float = _PARTS,
     ) -> _Optimum:
         """Local optimum from a start; the unknowns at `index` are free, the offset later."""
         focal, damping = self._camera.fx, Damping()
@@ -334,7 +335,7 @@ class OverlapProblem:
             free_ranges = n < held
             which = np.setdiff1d(index, _OFFSET) if free_ranges else index
             off = self._misfit(x)
-            noise = self._noise(x, off, free_ranges)
+            noise = self._noise(x, off, parts, free_ranges)
             slopes = self._slopes_at(x, off)[..., which]
             scale = np.sqrt(noise.weight) * focal / noise.sigma_px
             whiten = self._whitening(noise, scale)
@@ -343,7 +344,7 @@ class OverlapProblem:
             right = flat.T @ whiten((off * scale[:, None]).ravel()) + precision[which] * x[which]
 
             def cost(at: FloatArray, free_ranges: bool = free_ranges) -> float:
-                there = self._noise(at, self._misfit(at), free_ranges)
+                there = self._noise(at, self._misfit(at), parts, free_ranges)
                 return there.cost + float(precision @ at**2)
 
             before, x = x, self._stepped(x, which, normal, right, cost, damping)
@@ -351,7 +352,9 @@ class OverlapProblem:
                 break
         return _Optimum(cost(x), x, noise, flat, normal)
 
-    def _noise(self, x: FloatArray, off: FloatArray, free_ranges: bool = False) -> _Noise:
+    def _noise(
+        self, x: FloatArray, off: FloatArray, parts: float = 1.0, free_ranges: bool = False
+    ) -> _Noise:
         """Errors of matches by what ranges of their own leave of residuals (m, 2)."""
         # The relative inverse range of an object is that of its wall, or any: a mixture of two
         # normal distributions, of which the parallax of the object tells. Things that nobody
@@ -383,8 +386,8 @@ class OverlapProblem:
             # Nothing is beyond infinity.
             farther = np.minimum(np.sum(share * prior / spread, 1) * seen, 1.0)
             rest = off - by_range * farther[self._object][:, None]
-            cost += float(np.sum(np.log(size) - 2.0 * np.log(total))) / _PARTS
-        variance = _PARTS / np.sum(share / prior, 1)
+            cost += float(np.sum(np.log(size) - 2.0 * np.log(total))) / parts
+        variance = parts / np.sum(share / prior, 1)
         farther = np.where(share[:, 1] > 0.5, farther, 0.0)
         return _Noise(sigma_px, weight, rest, cost, by_range, variance, farther)
 
