@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 from scipy.sparse import csr_array
+from scipy.special import logsumexp
 
 from landmark_nav.arrays import IndexArray
 from landmark_nav.calibration import Calibration, NAMES
@@ -174,10 +175,12 @@ _NEAR_PX = 0.3
 # Bias of tracking in any pattern, which does not decrease with the number of points.
 _BIAS_PX = 0.003
 # An object has one range, and a size as seen, 0.6 m at 3 m. Relative sigma of the inverse range of
-# one on the wall behind it, 10 cm at 3 m, and of one anywhere, from 0.3 m to infinity; share of
-# objects on walls; number of objects that neighbours of one are part of, so that they are one
-# piece of evidence about their distance from walls; step of numerical differentiation.
-_OBJECT_RAD, _HANGING_SHARE, _ANYWHERE_SHARE, _HANGING, _PARTS = 0.2, 0.03, 3.0, 0.7, 10.0
+# one on the wall behind it, 10 cm at 3 m, and of one anywhere, from 0.3 m to infinity; number of
+# objects that are parts of one thing, so that they are one piece of evidence about its distance
+# from walls; shares of things on walls and anywhere, and that of a thing whose range is unknown;
+# step of numerical differentiation.
+_OBJECT_RAD, _HANGING_SHARE, _ANYWHERE_SHARE, _PARTS = 0.2, 0.03, 3.0, 10.0
+_WHERE, _NOWHERE = np.array([0.7, 0.3]), np.array([[0.0, 1.0]])
 _RANGE_STEP, _LEAST_INVERSE = 1e-3, 1e-3
 # Relative sigma of all ranges: 10 cm in front of the walls, at 3 m; of ranges that are a guess.
 _ROOM_SHARE, _GUESS_SHARE = 0.03, 0.5
@@ -224,8 +227,9 @@ class _Noise:
 
     `weight` (m,) are those of matches, and `rest` (m, 2) their residuals without what ranges of
     objects explain. `by_range` (m, 2) are derivatives of residuals by the relative inverse range
-    of each object, with this `variance` (k,), which is `farther` (k,) than the wall, or 0 on it;
-    all are None without ranges. `cost` is minus twice the logarithm of the likelihood.
+    of each object, with this `variance` (k,); `share` (k, 2) are the probabilities that it is on
+    the wall, or anywhere, and it is `farther` (k,) than the wall, or 0 on it. All are None without
+    ranges. `cost` is minus twice the logarithm of the likelihood.
     """
 
     sigma_px: float
@@ -234,6 +238,7 @@ class _Noise:
     cost: float
     by_range: FloatArray | None = None
     variance: FloatArray | None = None
+    share: FloatArray | None = None
     farther: FloatArray | None = None
 
 
@@ -298,14 +303,16 @@ class OverlapProblem:
         found = [self._optimum(start, index, precision, _ITERATIONS)]
         # Things before or beyond the walls look like another offset of the camera, which is a
         # local optimum: the likeliest of several is the result. To choose it, all of a large thing
-        # is one piece of evidence; near it, walls are as even as their parts.
+        # is one piece of evidence; once it is known what is on walls, all parts are.
         if self._range is not None and set(_OFFSET) <= set(free):
             for around in 2.0 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS:
                 start = np.zeros(len(every))
                 start[_OFFSET] = _OFFSETS_M * np.array([np.cos(around), np.sin(around)])
                 found.append(self._optimum(start, index, precision, _FIRST, _HELD))
         best = min(found, key=lambda optimum: optimum.cost)
-        best = self._optimum(best.x, index, precision, _ITERATIONS, parts=1.0)
+        if best is not found[0]:
+            best = self._optimum(best.x, index, precision, _ITERATIONS)
+        best = self._optimum(best.x, index, precision, _ITERATIONS, share=best.noise.share)
         self._last, weight = best.x, best.noise.weight
         spread = covariance_of(best.normal)
         by_pattern = float(weight.sum()) * (_BIAS_PX / best.noise.sigma_px) ** 2
@@ -327,15 +334,19 @@ class OverlapProblem:
         precision: FloatArray,
         iterations: int,
         held: int = 0,
-        parts: float = _PARTS,
+        share: FloatArray | None = None,
     ) -> _Optimum:
-        """Local optimum from a start; the unknowns at `index` are free, the offset later."""
+        """
+        Local optimum from a start; the unknowns at `index` are free, the offset not while `held`.
+
+        A known `share` (k, 2) says which objects are on walls.
+        """
         focal, damping = self._camera.fx, Damping()
         for n in range(iterations + held):
-            free_ranges = n < held
-            which = np.setdiff1d(index, _OFFSET) if free_ranges else index
+            which = np.setdiff1d(index, _OFFSET) if n < held else index
+            known = _NOWHERE if n < held else share
             off = self._misfit(x)
-            noise = self._noise(x, off, parts, free_ranges)
+            noise = self._noise(x, off, known)
             slopes = self._slopes_at(x, off)[..., which]
             scale = np.sqrt(noise.weight) * focal / noise.sigma_px
             whiten = self._whitening(noise, scale)
@@ -343,23 +354,21 @@ class OverlapProblem:
             normal = flat.T @ flat + np.diag(precision[which])
             right = flat.T @ whiten((off * scale[:, None]).ravel()) + precision[which] * x[which]
 
-            def cost(at: FloatArray, free_ranges: bool = free_ranges) -> float:
-                there = self._noise(at, self._misfit(at), parts, free_ranges)
+            def cost(at: FloatArray, known: FloatArray | None = known) -> float:
+                there = self._noise(at, self._misfit(at), known)
                 return there.cost + float(precision @ at**2)
 
             before, x = x, self._stepped(x, which, normal, right, cost, damping)
-            if not free_ranges and focal * np.abs(x - before).max() < _CONVERGED_PX:
+            if n >= held and focal * np.abs(x - before).max() < _CONVERGED_PX:
                 break
         return _Optimum(cost(x), x, noise, flat, normal)
 
-    def _noise(
-        self, x: FloatArray, off: FloatArray, parts: float = 1.0, free_ranges: bool = False
-    ) -> _Noise:
+    def _noise(self, x: FloatArray, off: FloatArray, known: FloatArray | None = None) -> _Noise:
         """Errors of matches by what ranges of their own leave of residuals (m, 2)."""
         # The relative inverse range of an object is that of its wall, or any: a mixture of two
         # normal distributions, of which the parallax of the object tells. Things that nobody
         # expects show their own range so, and do not bend the lens.
-        focal, rest = self._camera.fx, off
+        focal, rest, parts = self._camera.fx, off, _PARTS if known is None else 1.0
         if self._range is not None and self._object is not None:
             given, self._range = self._range, self._range / (1.0 + _RANGE_STEP)
             by_range = (self._misfit(x) - off) / _RANGE_STEP
@@ -379,17 +388,17 @@ class OverlapProblem:
             seen = np.bincount(self._object, precise * np.sum(by_range * off, 1)) / size
             prior = self._shares**2
             spread = prior + 1.0 / size[:, None]
-            chance = np.array([_HANGING, 1.0 - _HANGING]) / np.sqrt(spread)
-            likely = np.maximum(chance * np.exp(-0.5 * seen[:, None] ** 2 / spread), 1e-300)
-            total = likely.sum(1)
-            share = np.array([[0.0, 1.0]]) if free_ranges else likely / total[:, None]
+            likely = np.log(_WHERE) - 0.5 * (np.log(spread) + seen[:, None] ** 2 / spread)
+            total = logsumexp(likely, 1, keepdims=True)
+            share = np.exp(likely - total) if known is None else known
+            evidence = total if known is None else np.sum(share * likely, 1)
             # Nothing is beyond infinity.
             farther = np.minimum(np.sum(share * prior / spread, 1) * seen, 1.0)
             rest = off - by_range * farther[self._object][:, None]
-            cost += float(np.sum(np.log(size) - 2.0 * np.log(total))) / parts
+            cost += float(np.sum(np.log(size)) - 2.0 * np.sum(evidence)) / parts
         variance = parts / np.sum(share / prior, 1)
         farther = np.where(share[:, 1] > 0.5, farther, 0.0)
-        return _Noise(sigma_px, weight, rest, cost, by_range, variance, farther)
+        return _Noise(sigma_px, weight, rest, cost, by_range, variance, share, farther)
 
     def _stepped(
         self,
