@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 import logging
 
 import numpy as np
+from scipy.special import chdtri
 
 from landmark_nav.calibration import Calibration, NAMES
 from landmark_nav.errors import LandmarkNavError
@@ -28,8 +29,9 @@ from landmark_nav.learning.adjustment.wall_fit import (
 )
 from landmark_nav.learning.attention.maps import AttentionConfig
 from landmark_nav.learning.attention.selection import attend
+from landmark_nav.learning.calibration.overlap_fit import CORRECTED
 from landmark_nav.learning.election import elect, ElectionConfig
-from landmark_nav.learning.least_squares import checked_covariance
+from landmark_nav.learning.least_squares import checked_covariance, covariance_of, solve_positive
 from landmark_nav.learning.reference_area.common_errors import joint_covariance
 from landmark_nav.learning.reference_area.model import MEASURED
 from landmark_nav.learning.stages import StageLog
@@ -47,6 +49,8 @@ _MOST_SIGMA = np.array([1.0, 1.0, 1.0, 0.3])
 _FEW = 3
 # Sigma of the distance of a patch from its wall for an adjustment by stereo alone.
 _NO_WALL_M = 1.0
+# Probability of a misfit of panoramas by chance with which their calibrations are consistent.
+_CHANCE = 1e-3
 # Weight of the expected sigmas at which they are not estimated.
 _AS_EXPECTED = 1e9
 
@@ -108,6 +112,7 @@ def learn_from_panoramas(
         Features common to several panoramas.
     """
     _check(panoramas)
+    panoramas = consistent(panoramas)
     log = log or StageLog()
     with log.measure('attention'):
         attended = [attend(p, config.attention) for p in panoramas]
@@ -223,6 +228,38 @@ def _calibration(
         covariance[axis_tilt, axis_tilt] += floor
     by_map = gain @ adjustment.calibration_loading
     return replace(known, values=values, covariance=covariance, by_map=by_map)
+
+
+def consistent(panoramas: Sequence[Panorama]) -> list[Panorama]:
+    """
+    Inflate the covariances of what panoramas show of their camera if they contradict each other.
+
+    All have one lens and one optical centre, so that values farther apart than by chance show
+    errors that no covariance contains: all covariances grow by the mean square of the misfit, as
+    is usual for inconsistent measurements (Birge, Physical Review 40, 1932).
+    """
+    known = [p.calibration for p in panoramas if p.calibration is not None]
+    if len(known) < 2 or not all(known[0].same_camera(k) for k in known):
+        return list(panoramas)
+    shown = np.array(CORRECTED)[np.all([k.sigmas[CORRECTED] > 0.0 for k in known], axis=0)]
+    values = np.array([k.values[shown] for k in known])
+    information = np.array([covariance_of(k.covariance[np.ix_(shown, shown)]) for k in known])
+    score = np.einsum('kij,kj->i', information, values)
+    off = values - solve_positive(information.sum(0), score)
+    misfit = float(np.einsum('ki,kij,kj->', off, information, off))
+    freedom = max((len(known) - 1) * len(shown), 1)
+    if misfit <= chdtri(freedom, _CHANCE):
+        return list(panoramas)
+    factor = np.ones(len(NAMES))
+    factor[shown] = np.sqrt(misfit / freedom)
+
+    def inflated(panorama: Panorama) -> Panorama:
+        if (one := panorama.calibration) is None:
+            return panorama
+        covariance = one.covariance * np.outer(factor, factor)
+        return replace(panorama, calibration=replace(one, covariance=covariance))
+
+    return [inflated(panorama) for panorama in panoramas]
 
 
 def _check(panoramas: Sequence[Panorama]) -> None:

@@ -251,7 +251,7 @@ class _Maker:
             if mount_changed or off_axis or moved_px(found, refined) > _SAME_PX:
                 with log.measure('panorama'):
                     even = even_out(refined.sweep, photometry)
-                    reach_m = _range_of_azimuth(place, refined, room)
+                    reach_m = _seen_range(place, refined, room)
                     view = synthesize_cylinder(even, refined.mount, reach_m)
             found = refined
             # The posterior, or the prior where the frames show nothing.
@@ -422,12 +422,18 @@ def tenengrad(view: CylinderImage) -> float:
     return float(square[inner].mean() / 64.0) if inner.any() else 0.0
 
 
-def _range_of_azimuth(
+def _seen_range(
     place: SweepPlace, found: SweepCalibration, room: Room
-) -> Callable[[FloatArray], FloatArray]:
-    """Return a function for the distance of walls at azimuths in the base frame."""
+) -> Callable[[FloatArray, FloatArray], FloatArray]:
+    """Return a function for the distance of walls, and of what is not on them, in a panorama."""
     axis, heading = _axis(place, found.mount), place.pose_map_base[2]
-    return lambda azimuth: np.minimum(room.raycast(axis[:2], azimuth + heading)[0], FAR_M)
+
+    def range_m(azimuth: FloatArray, tangent: FloatArray) -> FloatArray:
+        walls = np.minimum(room.raycast(axis[:2], azimuth + heading)[0], FAR_M)
+        seen = walls if found.fit is None else found.fit.range_m(walls, azimuth, tangent)
+        return np.asarray(np.minimum(seen, FAR_M))
+
+    return range_m
 
 
 def _range_of_ray(

@@ -96,7 +96,7 @@ def test_a_camera_off_its_axis_sees_one_room_if_the_range_is_known(offset):
     pose = np.array([1.6, 1.4, 0.5])
     sweep = draw_sweep(scene, camera, mount, pose, TURN)
 
-    def range_m(azimuth_rad):
+    def range_m(azimuth_rad, tangent=None):
         return room.raycast(pose[:2], azimuth_rad + pose[2])[0]
 
     error = {}

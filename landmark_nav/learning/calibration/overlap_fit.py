@@ -9,7 +9,7 @@ fit is robust, with sigmas from the scatter of the residuals.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cache
 from itertools import pairwise
 
@@ -17,6 +17,7 @@ import cv2
 import numpy as np
 import numpy.typing as npt
 from scipy.sparse import csr_array
+from scipy.special import logsumexp
 
 from landmark_nav.arrays import IndexArray
 from landmark_nav.calibration import Calibration, NAMES
@@ -166,17 +167,26 @@ COMMON = {
     'principal_point': 'principal_point',
 }
 CORRECTED = [NAMES.index(name) for name in COMMON.values()]
+_OFFSET = [list(COMMON).index(name) for name in ('forward', 'left')]
 _STEPS = np.array([1e-5, 1e-4, 1e-6, 1e-6, 1e-6, 1e-4, 1e-4, 1e-5])
-_ITERATIONS = 12
+_ITERATIONS, _NOISE_ROUNDS = 12, 3
 _CONVERGED_PX = 5e-3
 _NEAR_PX = 0.3
 # Bias of tracking in any pattern, which does not decrease with the number of points.
 _BIAS_PX = 0.003
-# Relative sigma of the range of an object that may stand anywhere between the camera and the wall
-# (uniform), and its size as seen, 0.6 m at 3 m; step of numerical differentiation.
-_RANGE_SHARE, _OBJECT_RAD, _RANGE_STEP = 12.0**-0.5, 0.2, 1e-3
+# An object has one range, and a size as seen, 0.6 m at 3 m. Relative sigma of the inverse range of
+# one on the wall behind it, 10 cm at 3 m, and of one anywhere, from 0.3 m to infinity; number of
+# objects that are parts of one thing, so that they are one piece of evidence about its distance
+# from walls; shares of things on walls and anywhere, and that of a thing whose range is unknown;
+# step of numerical differentiation.
+_OBJECT_RAD, _HANGING_SHARE, _ANYWHERE_SHARE, _PARTS = 0.2, 0.03, 3.0, 10.0
+_WHERE, _NOWHERE = np.array([0.7, 0.3]), np.array([[0.0, 1.0]])
+_RANGE_STEP, _LEAST_INVERSE = 1e-3, 1e-3
 # Relative sigma of all ranges: 10 cm in front of the walls, at 3 m; of ranges that are a guess.
 _ROOM_SHARE, _GUESS_SHARE = 0.03, 0.5
+# Offsets from the axis that fits start with, m; iterations with free ranges before the offset is
+# free, and those after which the best fit is known.
+_OFFSETS_M, _DIRECTIONS, _HELD, _FIRST = 0.02, 8, 2, 4
 
 RangeOfRay = Callable[[FloatArray, FloatArray], FloatArray]
 Whitening = Callable[[FloatArray], FloatArray]
@@ -190,12 +200,57 @@ class Fit:
     `common` (8,) are the values of `COMMON`, with their covariance (8, 8), zero for fixed terms,
     by the scatter of the matches and by biases of tracking in any pattern; `frames` (n, 3) are
     pan, tilt and roll of each frame, zero without matches; `weight` (m,) are those of the matches.
+    `cells` (k, 2) are those of azimuth and tangent of the objects that are not on walls, and
+    `farther` (k,) by how much their inverse range is less than that of the walls, relative to it.
     """
 
     common: FloatArray
     covariance: FloatArray
     frames: FloatArray
     weight: FloatArray
+    cells: IndexArray = field(default_factory=lambda: np.zeros((0, 2), np.intp))
+    farther: FloatArray = field(default_factory=lambda: np.zeros(0))
+
+    def range_m(self, wall_m: FloatArray, azimuth: FloatArray, tangent: FloatArray) -> FloatArray:
+        """Range of what is seen in directions (...) with walls at `wall_m` (...), of any shape."""
+        place = _cells(azimuth, tangent)
+        inverse: FloatArray = np.ones(place.shape[:-1])
+        for cell, farther in zip(self.cells, self.farther, strict=True):
+            inverse[(place == cell).all(-1)] = 1.0 - farther
+        return np.asarray(wall_m / np.maximum(inverse, _LEAST_INVERSE))
+
+
+@dataclass(frozen=True, eq=False)
+class _Noise:
+    """
+    Errors of matches and of ranges at one set of unknowns.
+
+    `weight` (m,) are those of matches, and `rest` (m, 2) their residuals without what ranges of
+    objects explain. `by_range` (m, 2) are derivatives of residuals by the relative inverse range
+    of each object, with this `variance` (k,); `share` (k, 2) are the probabilities that it is on
+    the wall, or anywhere, and it is `farther` (k,) than the wall, or 0 on it. All are None without
+    ranges. `cost` is minus twice the logarithm of the likelihood.
+    """
+
+    sigma_px: float
+    weight: FloatArray
+    rest: FloatArray
+    cost: float
+    by_range: FloatArray | None = None
+    variance: FloatArray | None = None
+    share: FloatArray | None = None
+    farther: FloatArray | None = None
+
+
+@dataclass(frozen=True, eq=False)
+class _Optimum:
+    """Unknowns of a local optimum, with its noise, whitened Jacobian and normal equations."""
+
+    cost: float
+    x: FloatArray
+    noise: _Noise
+    flat: FloatArray
+    normal: FloatArray
 
 
 class OverlapProblem:
@@ -225,12 +280,14 @@ class OverlapProblem:
         self._slopes: tuple[FloatArray, FloatArray] | None = None
         self._range: FloatArray | None = None
         self._room_share = _GUESS_SHARE if guessed else _ROOM_SHARE
+        self._shares = np.array([_GUESS_SHARE if guessed else _HANGING_SHARE, _ANYWHERE_SHARE])
         self._object: IndexArray | None = None
+        self._cells = np.zeros((0, 2), np.intp)
         if range_m is not None:
             azimuth, tangent = (rays[:, 0] for rays in self._seen(self._last))
             self._range = range_m(azimuth, tangent)
-            place = np.floor(np.stack([azimuth, tangent], 1) / _OBJECT_RAD)
-            self._object = np.unique(place, axis=0, return_inverse=True)[1].ravel()
+            place = np.unique(_cells(azimuth, tangent), axis=0, return_inverse=True)
+            self._cells, self._object = place[0], place[1].ravel()
 
     def fit(self, free: Sequence[int], frame_sigma: Sequence[float]) -> Fit:
         """
@@ -238,44 +295,110 @@ class OverlapProblem:
 
         `frame_sigma` (3,) are sigmas of pan, tilt and roll of a frame about the given ones, rad.
         """
-        focal, x = self._camera.fx, self._last.copy()
-        index = np.concatenate([np.asarray(free, np.intp), np.arange(len(COMMON), len(x))])
-        precision = np.zeros(len(x))
+        every = np.arange(len(self._last))
+        index = np.concatenate([np.asarray(free, np.intp), every[len(COMMON) :]])
+        start = np.where(np.isin(every, index), self._last, 0.0)
+        precision = np.zeros(len(start))
         precision[len(COMMON) :] = np.tile(1.0 / np.square(frame_sigma), len(self._angles))
-        x[np.setdiff1d(np.arange(len(x)), index)] = 0.0
-        damping = Damping()
-        for _ in range(_ITERATIONS):
-            off = self._misfit(x)
-            distance = focal * np.linalg.norm(off, axis=1)
-            # Median of a Rayleigh distribution.
-            sigma_px = max(float(np.median(distance)) / 1.1774, 1e-3)
-            weight = 1.0 / (1.0 + (distance / (2.0 * sigma_px)) ** 2)
-            slopes = self._slopes_at(x, off)[..., index]
-            scale = np.sqrt(weight) * focal / sigma_px
-            whiten = self._whitening(x, off, scale)
-            flat = whiten((slopes * scale[:, None, None]).reshape(-1, len(index)))
-            normal = flat.T @ flat + np.diag(precision[index])
-            right = flat.T @ whiten((off * scale[:, None]).ravel()) + precision[index] * x[index]
-            before = x
-
-            def cost(
-                at: FloatArray, whiten: Whitening = whiten, scale: FloatArray = scale
-            ) -> float:
-                left = whiten((self._misfit(at) * scale[:, None]).ravel())
-                return float(left @ left + precision @ at**2)
-
-            x = self._stepped(before, index, normal, right, cost, damping)
-            if focal * np.abs(x - before).max() < _CONVERGED_PX:
-                break
-        self._last = x
-        spread = covariance_of(normal)
-        by_pattern = float(weight.sum()) * (_BIAS_PX / sigma_px) ** 2
-        spread += by_pattern * spread @ (flat.T @ flat) @ spread
+        found = [self._optimum(start, index, precision, _ITERATIONS)]
+        # Things before or beyond the walls look like another offset of the camera, which is a
+        # local optimum: the likeliest of several is the result. To choose it, all of a large thing
+        # is one piece of evidence; once it is known what is on walls, all parts are.
+        if self._range is not None and set(_OFFSET) <= set(free):
+            for around in 2.0 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS:
+                start = np.zeros(len(every))
+                start[_OFFSET] = _OFFSETS_M * np.array([np.cos(around), np.sin(around)])
+                found.append(self._optimum(start, index, precision, _FIRST, _HELD))
+        best = min(found, key=lambda optimum: optimum.cost)
+        if best is not found[0]:
+            best = self._optimum(best.x, index, precision, _ITERATIONS)
+        best = self._optimum(best.x, index, precision, _ITERATIONS, share=best.noise.share)
+        self._last, weight = best.x, best.noise.weight
+        spread = covariance_of(best.normal)
+        by_pattern = float(weight.sum()) * (_BIAS_PX / best.noise.sigma_px) ** 2
+        spread += by_pattern * spread @ (best.flat.T @ best.flat) @ spread
         covariance, own = np.zeros((len(COMMON), len(COMMON))), index[: len(free)]
         covariance[np.ix_(own, own)] = spread[: len(free), : len(free)]
-        every = np.zeros((self._count, 3))
-        every[self._used] = x[len(COMMON) :].reshape(-1, 3)
-        return Fit(x[: len(COMMON)], covariance, every, weight)
+        turns = np.zeros((self._count, 3))
+        turns[self._used] = best.x[len(COMMON) :].reshape(-1, 3)
+        cells, farther = self._cells, best.noise.farther
+        if farther is not None:
+            cells, farther = cells[farther != 0.0], farther[farther != 0.0]
+            return Fit(best.x[: len(COMMON)], covariance, turns, weight, cells, farther)
+        return Fit(best.x[: len(COMMON)], covariance, turns, weight)
+
+    def _optimum(
+        self,
+        x: FloatArray,
+        index: IndexArray,
+        precision: FloatArray,
+        iterations: int,
+        held: int = 0,
+        share: FloatArray | None = None,
+    ) -> _Optimum:
+        """
+        Local optimum from a start; the unknowns at `index` are free, the offset not while `held`.
+
+        A known `share` (k, 2) says which objects are on walls.
+        """
+        focal, damping = self._camera.fx, Damping()
+        for n in range(iterations + held):
+            which = np.setdiff1d(index, _OFFSET) if n < held else index
+            known = _NOWHERE if n < held else share
+            off = self._misfit(x)
+            noise = self._noise(x, off, known)
+            slopes = self._slopes_at(x, off)[..., which]
+            scale = np.sqrt(noise.weight) * focal / noise.sigma_px
+            whiten = self._whitening(noise, scale)
+            flat = whiten((slopes * scale[:, None, None]).reshape(-1, len(which)))
+            normal = flat.T @ flat + np.diag(precision[which])
+            right = flat.T @ whiten((off * scale[:, None]).ravel()) + precision[which] * x[which]
+
+            def cost(at: FloatArray, known: FloatArray | None = known) -> float:
+                there = self._noise(at, self._misfit(at), known)
+                return there.cost + float(precision @ at**2)
+
+            before, x = x, self._stepped(x, which, normal, right, cost, damping)
+            if n >= held and focal * np.abs(x - before).max() < _CONVERGED_PX:
+                break
+        return _Optimum(cost(x), x, noise, flat, normal)
+
+    def _noise(self, x: FloatArray, off: FloatArray, known: FloatArray | None = None) -> _Noise:
+        """Errors of matches by what ranges of their own leave of residuals (m, 2)."""
+        # The relative inverse range of an object is that of its wall, or any: a mixture of two
+        # normal distributions, of which the parallax of the object tells. Things that nobody
+        # expects show their own range so, and do not bend the lens.
+        focal, rest, parts = self._camera.fx, off, _PARTS if known is None else 1.0
+        if self._range is not None and self._object is not None:
+            given, self._range = self._range, self._range / (1.0 + _RANGE_STEP)
+            by_range = (self._misfit(x) - off) / _RANGE_STEP
+            self._range = given
+        for _ in range(_NOISE_ROUNDS):
+            distance = focal * np.linalg.norm(rest, axis=1)
+            # Median of a Rayleigh distribution.
+            sigma_px = max(float(np.median(distance)) / 1.1774, 1e-3)
+            square = (distance / (2.0 * sigma_px)) ** 2
+            # Student's t with four degrees of freedom, in the plane.
+            weight = 1.0 / (1.0 + square)
+            cost = float(4.0 * len(off) * np.log(sigma_px) + 6.0 * np.sum(np.log1p(square)))
+            if self._range is None or self._object is None:
+                return _Noise(sigma_px, weight, rest, cost)
+            precise = weight * (focal / sigma_px) ** 2
+            size = np.maximum(np.bincount(self._object, precise * np.sum(by_range**2, 1)), 1e-9)
+            seen = np.bincount(self._object, precise * np.sum(by_range * off, 1)) / size
+            prior = self._shares**2
+            spread = prior + 1.0 / size[:, None]
+            likely = np.log(_WHERE) - 0.5 * (np.log(spread) + seen[:, None] ** 2 / spread)
+            total = logsumexp(likely, 1, keepdims=True)
+            share = np.exp(likely - total) if known is None else known
+            evidence = total if known is None else np.sum(share * likely, 1)
+            # Nothing is beyond infinity.
+            farther = np.minimum(np.sum(share * prior / spread, 1) * seen, 1.0)
+            rest = off - by_range * farther[self._object][:, None]
+            cost += float(np.sum(np.log(size)) - 2.0 * np.sum(evidence)) / parts
+        variance = parts / np.sum(share / prior, 1)
+        farther = np.where(share[:, 1] > 0.5, farther, 0.0)
+        return _Noise(sigma_px, weight, rest, cost, by_range, variance, share, farther)
 
     def _stepped(
         self,
@@ -295,24 +418,18 @@ class OverlapProblem:
 
         return damping.step(x, stepped, cost)
 
-    def _whitening(self, x: FloatArray, here: FloatArray, scale: FloatArray) -> Whitening:
+    def _whitening(self, noise: _Noise, scale: FloatArray) -> Whitening:
         """Return a function that whitens residuals and slopes (2 m, ...) for errors of ranges."""
-        # One relative error is common to all matches of an object, another to all of the room, as
-        # most things stand in front of walls: with derivatives j by the error of an object, the
-        # covariance of their residuals is ``1 + v j j^T``. Most objects hang on the walls, so the
-        # variance v of each is estimated by its own parallax (one step of expectation
-        # maximization).
-        if self._range is None or self._object is None:
+        # One error is common to all matches of an object, another to all of the room, as most
+        # things stand in front of walls: with derivatives j by the error of an object, the
+        # covariance of their residuals is ``1 + v j j^T``.
+        if noise.by_range is None or noise.variance is None or self._object is None:
             return lambda rows: rows
-        given, self._range = self._range, self._range * (1.0 + _RANGE_STEP)
-        by_range = (self._misfit(x) - here) * scale[:, None] / _RANGE_STEP
-        self._range = given
+        by_range = noise.by_range * scale[:, None]
         square = np.bincount(self._object, np.sum(by_range**2, 1))
         place = np.repeat(self._object, 2), np.arange(by_range.size)
         along = csr_array((by_range.ravel(), place))
-        unknown = 1.0 / (square + _RANGE_SHARE**-2)
-        variance = (unknown * (along @ (here * scale[:, None]).ravel())) ** 2 + unknown
-        share = _whitening_share(variance, square)
+        share = _whitening_share(noise.variance, square)
 
         def by_object(rows: FloatArray) -> FloatArray:
             return np.asarray(rows - along.T @ ((share * (along @ rows).T).T))
@@ -329,7 +446,7 @@ class OverlapProblem:
 
     def misfit_px(self, common: FloatArray, frames: FloatArray | None = None) -> float:
         """Median distance of the two rays of a match, pixels."""
-        off = np.linalg.norm(self._misfit(self._unknowns(common, frames)), axis=1)
+        off = np.linalg.norm(self._rest(common, frames), axis=1)
         return self._camera.fx * float(np.median(off))
 
     def closure_rad(self, fit: Fit) -> float | None:
@@ -337,14 +454,15 @@ class OverlapProblem:
         if not self._overlaps.closed:
             return None
         pair = self._overlaps.pair
-        off = self._misfit(self._unknowns(fit.common, fit.frames))[:, 0]
+        off = self._rest(fit.common, fit.frames)[:, 0]
         total = np.bincount(pair, fit.weight * off)
         return float(np.sum(total / np.maximum(np.bincount(pair, fit.weight), 1e-9)))
 
-    def _unknowns(self, common: FloatArray, frames: FloatArray | None) -> FloatArray:
-        """Common terms (8,), then pan, tilt and roll of each frame with matches."""
+    def _rest(self, common: FloatArray, frames: FloatArray | None) -> FloatArray:
+        """Residuals (m, 2) without what the ranges of objects explain."""
         turns = np.zeros_like(self._angles) if frames is None else frames[self._used]
-        return np.append(common, turns)
+        x = np.append(common, turns)
+        return self._noise(x, self._misfit(x)).rest
 
     def _misfit(self, x: FloatArray) -> FloatArray:
         """Differences (m, 2) in azimuth and tangent between the two rays of each match."""
@@ -400,6 +518,12 @@ class OverlapProblem:
                 column = len(COMMON) + 3 * self._links[:, side] + axis
                 out[row, :, column] += sign * change[..., side]
         return out
+
+
+def _cells(azimuth: FloatArray, tangent: FloatArray) -> IndexArray:
+    """Cells (..., 2) of directions; what one cell shows is one object."""
+    place = np.stack(np.broadcast_arrays(wrap_rad(azimuth), tangent), -1) / _OBJECT_RAD
+    return np.floor(place).astype(np.intp)
 
 
 def _whitening_share(variance: npt.ArrayLike, square: npt.ArrayLike) -> FloatArray:

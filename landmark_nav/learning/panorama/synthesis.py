@@ -27,7 +27,7 @@ _GRID_PX = 8
 # Largest elevation of the camera; beyond it, it sees no walls.
 _MAX_ELEVATION_DEG = 45.0
 
-RangeOfAzimuth = Callable[[FloatArray], FloatArray]
+RangeOfRay = Callable[[FloatArray, FloatArray], FloatArray]
 CountArray = npt.NDArray[np.uint16]
 
 
@@ -97,7 +97,7 @@ def frame_slab(
     frame: CameraFrame,
     mount: PanTiltMount,
     cylinder: Cylinder,
-    range_m: RangeOfAzimuth | None = None,
+    range_m: RangeOfRay | None = None,
     reach_rad: float = np.inf,
 ) -> FrameSlab:
     """
@@ -106,7 +106,7 @@ def frame_slab(
     Parameters
     ----------
     range_m : callable, optional
-        Horizontal distance of the scene at azimuths (n,) in the base frame.
+        Horizontal distance of the scene at azimuths (n,) in the base frame and tangents (m, n).
     reach_rad : float
         Largest angle from the optical axis at which the frame is used, to both sides.
     """
@@ -134,7 +134,8 @@ def frame_slab(
         # A leaning axis moves the optical centre up and down.
         opposite = mount.camera_pose_base(frame.pan_rad + np.pi, frame.tilt_rad)[1]
         axis = np.array([*mount.axis_xyz[:2], 0.5 * (center[2] + opposite[2])])
-        points = points * range_m(cylinder.azimuth_rad(columns))[:, None] - (center - axis)
+        reach_m = range_m(cylinder.azimuth_rad(columns), points[..., 2])
+        points = points * reach_m[..., None] - (center - axis)
     grid = camera.project(points @ rotation).astype(np.float32)
     size = (cells[1] * _GRID_PX, cells[0] * _GRID_PX)
     window = (slice(_GRID_PX, _GRID_PX + cylinder.height), slice(_GRID_PX, _GRID_PX + count))
@@ -179,7 +180,7 @@ class CylinderImage:
 def synthesize_cylinder(
     sweep: Sweep,
     mount: PanTiltMount,
-    range_m: RangeOfAzimuth | None = None,
+    range_m: RangeOfRay | None = None,
     feathered: bool = False,
 ) -> CylinderImage:
     """
@@ -190,8 +191,8 @@ def synthesize_cylinder(
     Parameters
     ----------
     range_m : callable, optional
-        Horizontal distance of the scene at azimuths (n,) in the base frame. It corrects the
-        parallax between frames if the optical centre does not lie on the axis.
+        Horizontal distance of the scene at azimuths (n,) in the base frame and tangents (m, n) of
+        elevations. It corrects the parallax between frames if the optical centre is off the axis.
     feathered : bool
         Whether all pixels are feathered, which is faster.
     """
