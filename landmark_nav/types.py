@@ -15,6 +15,9 @@ import math
 import cv2
 import numpy as np
 import numpy.typing as npt
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
 
 from landmark_nav.arrays import Float32Array, FloatArray, ImageArray
 from landmark_nav.calibration import Calibration
@@ -345,6 +348,27 @@ class LandmarkMap:
     def distinct(self) -> LandmarkMap:
         """The map without edges, which are also found where they are not."""
         return replace(self, landmarks=tuple(k for k in self.landmarks if not k.edge))
+
+    @cached_property
+    def objects(self) -> npt.NDArray[np.bool_]:
+        """
+        Which landmarks (n, m) are on each of m objects that may be moved.
+
+        Those nearer to each other than the largest is wide may be on one thing, those of a wall on
+        one cupboard.
+        """
+        count = len(self.landmarks)
+        if not count:
+            return np.empty((0, 0), dtype=np.bool_)
+        first, second = (
+            cKDTree(self.positions).query_pairs(self.sizes_m.max(), output_type='ndarray').T
+        )
+        links = coo_array((np.ones(len(first)), (first, second)), shape=(count, count))
+        touching = connected_components(links, directed=False)[1]
+        walls = [landmark.wall_id for landmark in self.landmarks]
+        of_wall = [[each == wall for each in walls] for wall in dict.fromkeys(walls) if wall]
+        things = touching[:, None] == np.arange(touching.max() + 1)
+        return np.unique(np.hstack([things, np.reshape(of_wall, (-1, count)).T]), axis=1) > 0
 
     @cached_property
     def ids(self) -> npt.NDArray[np.int64]:

@@ -112,8 +112,8 @@ def run(args: argparse.Namespace) -> int:
         raise LandmarkNavError(f'{error} Else give --start') from error
     if not len(done.truth):
         bag.warn(f'{bag.path}: no ground_truth/odom: the errors stay empty')
-    if done.scale_contradiction:
-        bag.warn(f'{bag.path}: {done.scale_contradiction}')
+    for contradiction in done.map_contradictions:
+        bag.warn(f'{bag.path}: {contradiction}')
     done, in_frame = run_report.against_truth(done, landmarks)
     if not in_frame:
         check_truth_frame(bag, landmarks.frame_id)

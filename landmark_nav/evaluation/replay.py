@@ -88,7 +88,7 @@ class Replay:
     `odometry` is dead reckoning from the start; `truth` may be empty. Noise of the odometry,
     factor on the given sigmas of detections, and calibration are as learned by the end; there is
     no calibration for a recording of the nodes. `samples` are the measured odometry, sorted by
-    time. `scale_contradiction` is that of `Fusion` in the end.
+    time. `map_contradictions` are those of `Fusion` in the end.
     """
 
     start: PoseEstimate
@@ -102,7 +102,7 @@ class Replay:
     detection_sigma_factor: float = 1.0
     samples: tuple[OdometrySample, ...] = ()
     calibration: Calibration | None = None
-    scale_contradiction: str = ''
+    map_contradictions: tuple[str, ...] = ()
 
     @property
     def begin_ns(self) -> int:
@@ -267,5 +267,5 @@ def replay(
         localizer.fusion.detection_sigma_factor,
         tuple(samples),
         localizer.fusion.calibration,
-        localizer.fusion.scale_contradiction,
+        tuple(localizer.fusion.map_contradictions),
     )

@@ -354,19 +354,29 @@ class Fusion:
         return self._prior if self._line is None else self._line.filter.calibration
 
     @property
-    def scale_contradiction(self) -> str:
-        """How far the ways by odometry are off those in the map; empty if sigmas explain it."""
+    def map_contradictions(self) -> list[str]:
+        """What shows that the map is no longer right, or was not; one line each."""
         if self._line is None or self.status_at()[0] is Status.LOST:
-            return ''
+            return []
         off = float(self._line.filter.state.mean[SCALE])
         sigma = hypot(self._odometry.bias_sigmas[0], self._map.scale_sigma)
-        if abs(off) <= _SCALE_SIGMAS * sigma:
-            return ''
-        side = 'shorter' if off > 0.0 else 'longer'
-        return (
-            f'ways by odom are {100.0 * abs(off / (1.0 + off)):.0f} % {side} than in the map '
-            f'({abs(off) / sigma:.1f} sigma): check wheel sizes, learn the map again without slip'
-        )
+        found = []
+        if abs(off) > _SCALE_SIGMAS * sigma:
+            side = 'shorter' if off > 0.0 else 'longer'
+            found.append(
+                f'ways by odom are {100.0 * abs(off / (1.0 + off)):.0f} % {side} than in the map '
+                f'({abs(off) / sigma:.1f} sigma): check wheel sizes, or learn again without slip'
+            )
+        moved = [
+            f'by {100.0 * hypot(*by):.0f} cm near x {x:.1f} y {y:.1f}'
+            for (x, y, _), by in self._line.filter.moved_objects
+        ]
+        if moved:
+            more = f' and {len(moved) - 3} more' if len(moved) > 3 else ''
+            found.append(
+                f'moved since learning: {", ".join(moved[:3])}{more}: learn the map again'
+            )
+        return found
 
     @property
     def late(self) -> JointDelay:

@@ -93,8 +93,8 @@ class OdometryFusionNode(ConfiguredNode):
         counts = {'landmarks': self._landmarks, 'accepted': self._accepted}
         values = counts | {'rejected': self._rejected} | self._latency.values()
         values |= _calibration_values(self._fusion)
-        scale = self._fusion.scale_contradiction
-        advice = self._delay_advice() + self._mount_advice() + (scale and f'; {scale}')
+        advice = self._delay_advice() + self._mount_advice()
+        advice += ''.join(f'; {each}' for each in self._fusion.map_contradictions)
         return Health(_LEVELS[status], (reason or 'tracking') + advice, values)
 
     def _now_ns(self) -> int:

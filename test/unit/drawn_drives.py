@@ -27,6 +27,8 @@ MOUNT = PanTiltMount((0.08, 0.0, 1.1))
 HALF_VIEW, MOST = 0.46, 8
 # Odometry comes with this period, every fourth time with an image.
 PERIOD_S, IMAGE_EVERY = 0.05, 4
+# Where some of the landmarks are, on one wall.
+CUPBOARD = 'cupboard'
 START_SIGMA = np.array([0.03, 0.03, 0.02])
 
 
@@ -49,12 +51,20 @@ def point_map(rng, count=40, sigma_m=0.002):
     y = np.choose(wall, [np.zeros(count), 4 * along, np.full(count, 4.0), 4 * along])
     z = rng.uniform(0.5, 2.0, count)
     normal = np.array([[0, 1, 0], [-1, 0, 0], [0, -1, 0], [1, 0, 0]], float)[wall]
+    walls = np.where((wall == 2) & (x > 3.0), CUPBOARD, '').tolist()
     shared = 0.5 * sigma_m * np.eye(3, 2)
     given = {'shared_loading': shared, 'viewpoint': np.array([3.0, 2.0, 1.1])}
     covariance = sigma_m**2 * np.eye(3) + shared @ shared.T
     return LandmarkMap(
         tuple(
-            bare_landmark(k, at, covariance, normal=normal[k], **given)
+            bare_landmark(
+                k,
+                at,
+                covariance,
+                normal=normal[k],
+                wall_id=walls[k],
+                **given,
+            )
             for k, at in enumerate(np.column_stack([x, y, z]))
         )
     )
@@ -74,8 +84,13 @@ def simulated(
     noise=1.0,
     outliers=0.0,
     map_sigma_m=0.002,
+    cupboard_moved_m=0.0,
 ):
-    """Draw a drive by the default noise of floor and wheels; `noise` 0 leaves out all of it."""
+    """
+    Draw a drive by the default noise of floor and wheels; `noise` 0 leaves out all of it.
+
+    The cupboard was moved along its wall since learning.
+    """
     rng = np.random.default_rng(seed)
     config, wheels = EstimatorConfig(), OdometryNoiseConfig()
     prior = prior or Calibration.exact(MOUNT)
@@ -84,6 +99,8 @@ def simulated(
     shape = learned.positions.shape
     shared = noise * learned.shared_loadings @ rng.normal(size=2)
     own = noise * map_sigma_m * rng.normal(size=shape)
+    stands = [landmark.wall_id == CUPBOARD for landmark in learned.landmarks]
+    moved = cupboard_moved_m * np.outer(stands, [1.0, 0.0, 0.0])
     scale, drift, turn_scale = noise * wheels.bias_sigmas * rng.normal(size=3)
     slip, floor_roll = 0.0, config.floor_tilt_sigma_rad * rng.normal(size=2)
     pose = np.array([1.5, 1.0, 0.0])
@@ -112,7 +129,7 @@ def simulated(
         state = np.concatenate([pose, noise * floor_roll, np.zeros(CALIBRATION - 5), true.values])
         blank = _panned(tick * PERIOD_S, len(learned.landmarks), pixel_sigma)
         off = noise * rng.normal(0.0, true.base.pan_sigma_rad)
-        places = learned.positions + shared + own
+        places = learned.positions + shared + own + moved
         blank = replace(blank, speeds=step.increment / PERIOD_S)
         # The rows of what is seen while the camera turns are hardly those at rest.
         blank = replace(blank, below=project(state, places, blank).points[:, 1])
@@ -181,9 +198,16 @@ def driven(
     prior=None,
     changed=lambda _, seen: seen,
     after=lambda _joint, _moved: None,
+    displacements=None,
 ):
-    """Run the joint filter along a drive; `after` each image with the state before it."""
+    """
+    Run the joint filter along a drive; `after` each image with the state before it.
+
+    Inverse covariances of `displacements` are those of objects, if given for good.
+    """
     joint = JointFilter(drive.landmark_map, prior or drive.prior, drive.start, config, odometry)
+    if displacements is not None:
+        joint = joint.knowing(displacements)
     errors, covariances, updates, stamp = [], [], [], 0
     for event in drive.events:
         if isinstance(event, Motion):

@@ -3,12 +3,13 @@
 from dataclasses import replace
 from functools import cache
 
-from drawn_drives import driven, MOUNT, NS, point_map, sensed, simulated
+from builders import bare_landmark
+from drawn_drives import CUPBOARD, driven, MOUNT, NS, point_map, sensed, simulated
 import numpy as np
 import pytest
 
 from landmark_nav.calibration import Calibration, NAMES
-from landmark_nav.geometry.angles import PanTrack, wrap_rad
+from landmark_nav.geometry.angles import PanTrack
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.geometry.se2 import compose
 from landmark_nav.localization.detection.expectation import HALF_PIXEL
@@ -25,10 +26,11 @@ from landmark_nav.localization.estimator.factors import (
 )
 from landmark_nav.localization.estimator.filter import JointFilter
 from landmark_nav.localization.estimator.integrity import protection_level
+from landmark_nav.localization.estimator.moved_objects import exchanged, isotropic, STILL_M2
 from landmark_nav.localization.estimator.timeline import Timeline
 from landmark_nav.localization.odometry.noise import Motion, OdometryNoiseConfig
 from landmark_nav.localization.odometry.track import OdometryTrack
-from landmark_nav.types import OdometrySample, PoseEstimate, Refusal
+from landmark_nav.types import LandmarkMap, OdometrySample, PoseEstimate, Refusal
 
 POINTS = np.array([[3.0, 1.0, 1.0], [2.5, 2.0, 1.5], [4.0, 0.5, 1.2], [3.0, 3.0, 1.7]])
 TAPE = Calibration.of_mount(MOUNT)
@@ -139,8 +141,8 @@ def test_recovers_the_pose_without_noise():
     exactly = replace(drive.prior, covariance=np.zeros_like(drive.prior.covariance))
     pose = drive.start.pose + np.array([0.04, -0.03, 0.02])
     drive.start = replace(drive.start, pose=pose)
-    floor = EstimatorConfig(floor_tilt_sigma_rad=0.0)
-    run = driven(drive, floor, prior=replace(exactly, base=replace(MOUNT, pan_sigma_rad=0.0)))
+    exact = EstimatorConfig(floor_tilt_sigma_rad=0.0, moved_probability=0.0)
+    run = driven(drive, exact, prior=replace(exactly, base=replace(MOUNT, pan_sigma_rad=0.0)))
     images = [event for event in drive.events if isinstance(event, ImagePoints)]
     fixed = np.array([len(seen) >= 3 for seen in images])
     assert fixed.sum() > 10
@@ -253,26 +255,92 @@ def test_a_knock_of_the_camera_is_noticed_at_once():
 
 @pytest.mark.parametrize('seed', range(8))
 def test_an_object_moved_since_learning_alone_in_an_image_is_no_knock(seed):
-    drive, known, alone = simulated(seed, seconds=24.0), set(), []
+    drive = simulated(seed, seconds=24.0, cupboard_moved_m=0.25)
+    of_cupboard = np.array([each.wall_id == CUPBOARD for each in drive.landmark_map.landmarks])
+    alone = []
 
     def change(k, seen):
-        new = np.array([c not in known for c in seen.columns.tolist()])
-        known.update(seen.columns.tolist())
-        if alone or k <= 10 or new.sum() < 3:
-            return seen
-        alone.append(seen.stamp_ns)
-        to = drive.landmark_map.positions[seen.columns, :2] - drive.poses[k - 1][:2]
-        # Along the line of sight a motion looks like an error of the pose that the prior allows.
-        ahead = to[new].mean(axis=0)
-        motion = 0.3 * np.array([-ahead[1], ahead[0]]) / np.hypot(*ahead)
-        left = np.arctan2(*(to + motion).T[::-1]) - np.arctan2(*to.T[::-1])
-        to_right = np.stack([-wrap_rad(left), np.zeros(len(left))], axis=1)
-        return replace(seen, points=seen.points + to_right).chosen(new)
+        """It is first seen alone."""
+        there = of_cupboard[seen.columns]
+        if not alone and k > 10 and there.sum() >= 3:
+            alone.append(k)
+            return seen.chosen(there)
+        return seen if alone else seen.chosen(~there)
 
     run = driven(drive, changed=change)
     assert alone
     assert not any(update.stepped for update in run.updates)
     assert (run.nees < 31.8).all()
+    ((_, by),) = run.filter.moved_objects
+    assert by == pytest.approx([0.25, 0.0], abs=0.02)
+
+
+def test_objects_are_things_that_touch_and_walls():
+    at = [(0.0, 0.0, 1.0), (0.25, 0.0, 1.0), (0.5, 0.0, 1.0), (2.0, 0.0, 1.0), (4.0, 1.0, 1.0)]
+    walls = ['north', 'north', 'north', 'north', '']
+    landmarks = tuple(
+        bare_landmark(k, place, 1e-6 * np.eye(3), wall_id=wall, width_m=0.3, height_m=0.2)
+        for k, (place, wall) in enumerate(zip(at, walls, strict=True))
+    )
+    objects = LandmarkMap(landmarks).objects
+    assert {tuple(np.flatnonzero(each)) for each in objects.T} == {
+        (0, 1, 2), (3,), (4,), (0, 1, 2, 3),
+    }  # fmt: skip
+    assert LandmarkMap(()).objects.shape == (0, 0)
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_another_prior_of_displacements_is_as_if_it_had_been_there_from_the_beginning(seed):
+    drive = simulated(seed, seconds=8.0)
+    still = isotropic(drive.landmark_map.objects.shape[1], STILL_M2)
+    wide = isotropic(len(still), 0.01**2)
+
+    def after(prior, other):
+        def exchange(joint, _):
+            if len(joint.state.objects):
+                objects = joint.state.objects
+                joint.state, _ = exchanged(joint.state, objects, other[objects])
+
+        return driven(drive, gaussian, displacements=prior, after=exchange)
+
+    gaussian = EstimatorConfig(tail_freedom=0.0, learning_sigma=0.0)
+    given, changed = after(wide, wide), after(still, wide)
+    to_and_fro = after(still, still)
+    plain = driven(drive, gaussian, displacements=still)
+    # But for the points of linearisation.
+    assert changed.errors[0] == pytest.approx(given.errors[0], abs=2e-4)
+    assert changed.covariances[0] == pytest.approx(given.covariances[0], rel=0.02, abs=1e-7)
+    assert np.abs(changed.errors[0] - plain.errors[0]).max() > 3e-4
+    assert to_and_fro.errors == pytest.approx(plain.errors, abs=1e-9)
+
+
+@pytest.mark.parametrize('seed', range(4))
+def test_a_place_found_by_what_was_moved_is_corrected(seed):
+    moved_m = 0.15
+    drive = simulated(seed, TAPE, seconds=24.0, cupboard_moved_m=moved_m)
+    stands = np.array([each.wall_id == CUPBOARD for each in drive.landmark_map.landmarks])
+    images = [event for event in drive.events if isinstance(event, ImagePoints)]
+    first = next(k for k, seen in enumerate(images) if stands[seen.columns].sum() >= 3)
+    # Its landmarks are where they were learned, and the robot as much the other way.
+    pose = drive.poses[first] - [moved_m, 0.0, 0.0]
+    found = PoseEstimate(images[first].stamp_ns, pose, np.diag([0.01, 0.01, 0.01]) ** 2)
+    filters = []
+
+    def changed(k, seen):
+        return (
+            seen.chosen(stands[seen.columns])
+            if k == first + 1
+            else seen.chosen(np.full(len(seen), k > first + 1))
+        )
+
+    def after(joint, _):
+        filters.append(joint)
+        if len(filters) == first + 1:
+            joint.state = joint.placed(found, 0.0).state
+
+    run = driven(drive, changed=changed, after=after)
+    assert np.hypot(*run.errors[-1, :2]) < 0.03
+    assert (run.nees[-40:] < 31.8).all()
 
 
 def test_another_focal_length_is_noticed_at_once_and_found():

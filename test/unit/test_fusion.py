@@ -230,10 +230,10 @@ def test_detections_that_stop_are_told_from_images_without_a_landmark():
 
 
 @pytest.mark.parametrize(
-    ('factor', 'scale_sigma', 'told'),
+    ('factor', 'scale_sigma', 'reported'),
     [(1.0, 0.0, False), (0.82, 0.02, True), (1.2, 0.0, True), (0.82, 0.1, False)],
 )
-def test_ways_by_odometry_that_contradict_the_map_are_told(factor, scale_sigma, told):
+def test_ways_by_odometry_that_contradict_the_map_are_reported(factor, scale_sigma, reported):
     """Unless the sigma of the map's scale explains it."""
     drive = simulated(3, seconds=8.0)
     provenance = {'scale_sigma': str(scale_sigma)}
@@ -244,7 +244,7 @@ def test_ways_by_odometry_that_contradict_the_map_are_told(factor, scale_sigma, 
             pose, speed = what.pose_odom_base * [factor, factor, 1.0], factor * what.linear_m_s
             what = replace(what, pose_odom_base=pose, linear_m_s=speed)
         take(fusion, what)
-    assert bool(fusion.scale_contradiction) is told
+    assert bool(fusion.map_contradictions) is reported
 
 
 @pytest.mark.parametrize(('since', 'is_learned'), [(0, True), (40, True), (40, False)])

@@ -221,6 +221,13 @@ def test_what_comes_later_shows_what_was_before():
     assert 1.0 < squares.mean() < 5.0
 
 
+@pytest.mark.parametrize('seed', range(3))
+def test_what_was_moved_is_known_from_the_beginning_when_smoothed(seed):
+    off, squares = line(simulated(seed, seconds=24.0, cupboard_moved_m=0.15))
+    assert (squares < 31.8).all()
+    assert np.abs(off[:, :2]).max() < 0.05
+
+
 def test_the_mount_found_at_the_end_corrects_the_beginning():
     prior = Calibration.of_mount(simulated(0, seconds=1.0).prior.mount)
     drive = simulated(7, prior, prior.with_values(center_x=0.03, axis_pitch=0.014), seconds=16.0)

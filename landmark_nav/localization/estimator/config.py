@@ -83,8 +83,7 @@ class EstimatorConfig(Config):
     slip_probability: float = 1e-3
     slip_sigma_m: float = 0.02
     slip_sigma_rad: float = 0.003
-    # Share of the images whose new landmarks are on an object that was moved since learning, and
-    # the sigma of its motion, m.
+    # Share of the objects of a map that were moved since learning, and the sigma of this, m.
     moved_probability: float = 0.01
     moved_sigma_m: float = 0.1
     # Greatest delay of a measurement, s.
@@ -99,7 +98,7 @@ class EstimatorConfig(Config):
 
     @property
     def moved_log_odds(self) -> float:
-        """Log odds that the new landmarks of an image are on an object that was moved."""
+        """Log odds that an object was moved since learning."""
         return _log_odds(self.moved_probability)
 
     @property

@@ -92,7 +92,9 @@ def corrected(
     count, size = len(seen), len(state.mean)
     slots = np.empty(len(errors.positions), dtype=np.intp)
     slots[state.landmarks] = np.arange(len(state.landmarks))
-    own = errors.end + 3 * slots[seen.columns][:, None] + np.arange(3)
+    own = state.first_own + 3 * slots[seen.columns][:, None] + np.arange(3)
+    on, objects = np.nonzero(errors.objects[seen.columns])
+    displaced = state.displacements(objects)
     each = np.arange(count)
     prior = state.mean
     noise = state.scales.factors[DETECTION] * seen.covariance[:, :rows, :rows]
@@ -108,11 +110,13 @@ def corrected(
     for _ in range(_ITERATIONS):
         points = errors.positions[seen.columns] + mean[own]
         points += errors.loadings[seen.columns] @ mean[STATES : errors.end]
+        np.add.at(points[:, :2], on, mean[displaced])
         model = project(mean, points, replace(seen, pan_rad=seen.pan_rad + pan_error))
         parts = np.zeros((count, 2, size))
         parts[:, :, :STATES] = model.by_state
         parts[:, :, STATES : errors.end] = model.by_point @ errors.loadings[seen.columns]
         parts[each[:, None], :, own] = model.by_point.swapaxes(1, 2)
+        parts[on[:, None], :, displaced] = model.by_point[on, :, :2].swapaxes(1, 2)
         jacobian = parts[:, :rows].reshape(count * rows, size)
         offset = prior - mean
         offset[2] = wrap_rad(offset[2])

@@ -17,12 +17,12 @@ from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
-from scipy.special import expit
 
 from landmark_nav.arrays import IndexArray
 from landmark_nav.calibration import Calibration, DEFAULT_SIGMAS, LENS, NAMES
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.se2 import compose, compose_jacobians
+from landmark_nav.localization.estimator import moved_objects
 from landmark_nav.localization.estimator.config import EstimatorConfig, Step
 from landmark_nav.localization.estimator.correction import corrected, usable
 from landmark_nav.localization.estimator.factors import (
@@ -91,7 +91,6 @@ class _Hypothesis(NamedTuple):
     prior: State
     after: Callable[[], State]
     update: Update
-    moved: bool = False  # whether new landmarks are on an object that was moved since learning
 
 
 def _continued(
@@ -130,6 +129,8 @@ class JointFilter:
         The current state; it may be set to an earlier one.
     predicted : State
         Prediction before the last image.
+    still : ndarray, shape (m, 2, 2)
+        Inverse prior covariances of the displacements of objects when they are first seen.
     """
 
     def __init__(
@@ -143,8 +144,11 @@ class JointFilter:
         self._config = config or EstimatorConfig()
         self._odometry = odometry or OdometryNoiseConfig()
         self._prior, self._map = calibration, landmark_map
-        self._errors = MapErrors.of(landmark_map)
+        self._errors = MapErrors.of(landmark_map, movable=self._config.moved_probability > 0.0)
         self._fixed = self._errors.end
+        # The prior of displacements may be final.
+        self.still = moved_objects.isotropic(self._errors.objects.shape[1], moved_objects.STILL_M2)
+        self._settled = False
         wheels = self._odometry
         floor_tilt = self._config.floor_tilt_sigma_rad
         variances = np.ones(self._fixed)
@@ -165,10 +169,11 @@ class JointFilter:
         by_noise = np.zeros((NOISES, STATES, STATES))
         by_noise[SLIP_NOISE, SLIP, SLIP] = wheels.slip_m_per_rad**2
         by_noise[FLOOR, _TILTS, _TILTS] = floor_tilt**2
-        none, nothing = np.empty(0, dtype=np.intp), np.empty((0, 3, 3))
+        none, nothing = np.empty(0, dtype=np.intp), np.empty(0)
+        on, still = np.empty((0, 0), dtype=np.bool_), np.empty((0, 2, 2))
         scales = NoiseScales.unknown(self._config.learning_sigma)
         self.state = State(
-            start.stamp_ns, mean, covariance, by_noise, scales, none, np.empty(0), nothing
+            start.stamp_ns, mean, covariance, by_noise, scales, none, nothing, none, still, on
         )
         self.predicted = self.state
 
@@ -204,6 +209,12 @@ class JointFilter:
     def stepped(self) -> JointFilter:
         """Return the filter where base, camera or joint delay may have changed."""
         return self._with(self._stepped(self.state, self._config.knock))
+
+    def knowing(self, still: FloatArray) -> JointFilter:
+        """Return the filter where the priors (m, 2, 2) of all displacements are final."""
+        other = self._with(self.state)
+        other.still, other._settled = still, True
+        return other
 
     def with_lens(self, given: Calibration) -> JointFilter:
         """Return the filter where the lens is as in `given`."""
@@ -262,6 +273,7 @@ class JointFilter:
         by_kept[:3] = by_mount[:, : STATES - SCALE]
         by_noise = by_kept @ mine.by_noise[:, SCALE:, SCALE:] @ by_kept.T
         by_noise[FLOOR] += new.by_noise[FLOOR]
+        new = replace(new, found=pan_rate_rad_s is not None)
         return other._with(_continued(new, mean, covariance, by_noise, mine))
 
     def on_map(self, landmark_map: LandmarkMap) -> JointFilter:
@@ -307,8 +319,20 @@ class JointFilter:
         """Current estimates (n, 3) of the positions of the map's landmarks."""
         state = self.state
         found = self._errors.positions + self._errors.loadings @ state.mean[STATES : self._fixed]
-        found[state.landmarks] += state.mean[self._fixed :].reshape(-1, 3)
+        found[state.landmarks] += state.mean[state.first_own :].reshape(-1, 3)
+        found[state.landmarks, :2] += state.on @ state.mean[state.displacements(state.objects)]
         return np.asarray(found)
+
+    @property
+    def moved_objects(self) -> list[tuple[FloatArray, FloatArray]]:
+        """Where objects (3,) were at learning that were moved since, and by how much (2,)."""
+        state, objects = self.state, self._errors.objects
+        moved = state.objects[moved_objects.moved(state, self._config.moved_sigma_m**2)]
+        places = state.mean[state.displacements(moved)]
+        return [
+            (self._errors.positions[objects[:, each]].mean(axis=0), by)
+            for each, by in zip(moved, places, strict=True)
+        ]
 
     def look_back(self, track: OdometryTrack) -> None:
         """Take note of the motion of the base since an image of this time was taken."""
@@ -398,9 +422,7 @@ class JointFilter:
         expected = hypothesis = _Hypothesis(prior, *self._corrected(prior, seen, new))
         if not seen.lost and expected.update.surprising:
             hypothesis = self._likeliest(expected, seen, new)
-        elif not seen.lost and np.count_nonzero(new) >= _WITNESSES:
-            hypothesis = self._perhaps_moved(expected, seen, new)
-        prior, correct, update, moved = hypothesis
+        prior, correct, update = hypothesis
         # What chance explains as well, in windows that large, must not move the pose.
         unused = update.log_ratios.sum() + MISSED * len(seen.missed) < 0.0 or (
             expected.update.surprising
@@ -408,14 +430,21 @@ class JointFilter:
             < chance_log_evidence(expected.update.residual, expected.update.covariance)
         )
         if unused:
-            correct, update = partial(_passed_over, prior, seen), update.unused
+            prior, update = prior if update.stepped else expected.prior, update.unused
+            correct = partial(_passed_over, prior, seen)
         after = correct()
-        if not (unused or moved):
-            after = self._with_moved(after, update, new)
-        if unused or moved:
+        if unused:
             # The image says nothing of its new landmarks, which stay new.
             after = after.only(~np.isin(after.landmarks, seen.columns[new]))
-        self.state, self.predicted = after if unused else after.corrected_from(prior), prior
+            after = replace(after, found=self.state.found)
+        else:
+            after = self._with_moved(after, update, new).corrected_from(prior)
+            if not self._settled:
+                config = self._config
+                after = moved_objects.weighed(
+                    after, config.moved_log_odds, config.moved_sigma_m**2
+                )
+        self.state, self.predicted = after, prior
         return update
 
     def _likeliest(
@@ -441,37 +470,54 @@ class JointFilter:
                 )
                 update = update._replace(log_evidence=evidence, stepped=bool(step.calibration))
                 hypotheses.append(_Hypothesis(opened, after, update))
-        if np.count_nonzero(new) >= _WITNESSES:
-            opened = self._displaced(prior, seen.columns[new], self._config.moved_sigma_m**2)
-            _, update = self._corrected(opened, seen, new)
-            if np.count_nonzero(update.weight[new] > _INLIER) >= _WITNESSES:
-                evidence = self._config.moved_log_odds + update.log_evidence
-                update = update._replace(log_evidence=evidence)
-                others, after = seen.chosen(~new), partial(_passed_over, prior, seen)
-                if len(others):
-                    after, _ = self._corrected(prior, others, new[~new])
-                hypotheses.append(_Hypothesis(prior, after, update, moved=True))
+        moved = expected if self._settled else self._objects_moved(expected, seen, new)
+        hypotheses.append(moved)
         # What asks for caution counts unless it can be excluded: an object that was moved says
-        # nothing, and a knock leaves all open, the focal length too unless that can be excluded.
+        # little, and a knock leaves all open, the focal length too unless that can be excluded.
         best = max(each.update.log_evidence for each in hypotheses)
         possible = [each for each in hypotheses if each.update.log_evidence >= best + _EXCLUDED]
         stepped = [each for each in possible if each.update.stepped]
-        cautious = [*stepped, *(each for each in possible if each.moved)]
+        cautious = [*stepped, *(k for k in possible if k is moved and moved is not expected)]
         chosen = max(cautious or possible, key=lambda each: each.update.log_evidence)
         if chosen.update.stepped:
             chosen = stepped[-1]
         return chosen._replace(update=chosen.update._replace(log_evidence=best))
 
-    def _perhaps_moved(
+    def _objects_moved(
         self, expected: _Hypothesis, seen: ImagePoints, new: npt.NDArray[np.bool_]
     ) -> _Hypothesis:
-        """New landmarks moved together; the variance of that is the mean over both cases."""
-        columns, config = seen.columns[new], self._config
-        moved = self._displaced(expected.prior, columns, config.moved_sigma_m**2)
-        evidence = self._corrected(moved, seen, new)[1].log_evidence
-        share = expit(config.moved_log_odds + evidence - expected.update.log_evidence)
-        prior = self._displaced(expected.prior, columns, share * config.moved_sigma_m**2)
-        return _Hypothesis(prior, *self._corrected(prior, seen, new))
+        """Objects were moved: all that may have been, with the evidence of the likeliest."""
+        likeliest, gained, opened = expected, 0.0, list[int]()
+        wide = moved_objects.isotropic(1, moved_objects.STILL_M2 + self._config.moved_sigma_m**2)
+        shown = np.flatnonzero(self._errors.objects[seen.columns].any(axis=0))
+        while likeliest.update.surprising:
+            prior, trials = likeliest.prior, []
+            still = prior.still.trace(axis1=1, axis2=2) > 2.0 * wide.trace(axis1=1, axis2=2)
+            for each in np.intersect1d(shown, prior.objects[still]):
+                trial, past = moved_objects.exchanged(prior, np.array([each]), wide)
+                after, update = self._corrected(trial, seen, new)
+                past += gained + self._config.moved_log_odds
+                update = update._replace(log_evidence=update.log_evidence + past)
+                trials.append((update.log_evidence, each, past, _Hypothesis(trial, after, update)))
+            top, _, past, best = max(trials, default=(-np.inf, 0, 0.0, likeliest))
+            if top < likeliest.update.log_evidence:
+                break
+            opened += [each for evidence, each, *_ in trials if evidence >= top + _EXCLUDED]
+            likeliest, gained = best, past
+        if not opened:
+            return expected
+        which = np.unique(opened)
+        prior, _ = moved_objects.exchanged(
+            expected.prior, which, np.repeat(wide, len(which), axis=0)
+        )
+        after, update = self._corrected(prior, seen, new)
+        # Such an image is less evidence for the place, down to none.
+        gained = max(gained, -max(float(update.log_ratios.sum()), 0.0))
+        update = update._replace(
+            log_evidence=likeliest.update.log_evidence,
+            log_ratios=update.log_ratios + gained / len(seen),
+        )
+        return _Hypothesis(prior, after, update)
 
     def _with_moved(self, state: State, update: Update, new: npt.NDArray[np.bool_]) -> State:
         """Return the state with wider own errors of new landmarks that are found to be off."""
@@ -483,13 +529,11 @@ class JointFilter:
         state = state.only(~np.isin(state.landmarks, columns[out]))
         columns, wider = columns[~out], looser[~out] - 1.0
         slots = np.nonzero(columns[:, None] == state.landmarks)[1]
-        places = self._fixed + 3 * slots[:, None] + np.arange(3)
+        places = state.first_own + 3 * slots[:, None] + np.arange(3)
         covariance = state.covariance.copy()
         added = wider[:, None, None] * self._errors.own[columns]
         covariance[places[:, :, None], places[:, None]] += added
-        own = state.own.copy()
-        own[slots] += added
-        return replace(state, covariance=covariance, own=own)
+        return replace(state, covariance=covariance)
 
     def _corrected(
         self, state: State, seen: ImagePoints, new: npt.NDArray[np.bool_]
@@ -509,20 +553,11 @@ class JointFilter:
                 covariance[k, k] += sigma**2
         return replace(state, covariance=covariance)
 
-    def _displaced(self, state: State, columns: IndexArray, variance_m2: float) -> State:
-        """Return the state where these landmarks may have been moved together, on the floor."""
-        slots = np.flatnonzero(np.isin(state.landmarks, columns))
-        covariance, own = state.covariance.copy(), state.own.copy()
-        for axis in self._fixed + np.arange(2):
-            covariance[np.ix_(axis + 3 * slots, axis + 3 * slots)] += variance_m2
-        own[slots] += variance_m2 * np.diag([1.0, 1.0, 0.0])
-        return replace(state, covariance=covariance, own=own)
-
     def _elapsed(self, state: State) -> State:
         """Predict the errors of landmarks and mount over way and time since the last image."""
         if not (state.way_m or state.seconds):
             return state
-        kept, first = self.kept(state.way_m), self._fixed
+        kept, first = self.kept(state.way_m), state.first_own
         unseen = state.unseen_m + state.way_m
         left = np.ones(len(state.mean))
         left[first:] = kept
@@ -531,7 +566,6 @@ class JointFilter:
         places = first + np.arange(3 * len(state.landmarks)).reshape(-1, 3)
         fresh = (1.0 - kept**2) * self._errors.own[state.landmarks]
         covariance[places[:, :, None], places[:, None]] += fresh
-        state = replace(state, own=kept**2 * state.own + fresh)
         mount = self._config.mount_walk_rad_per_sqrt_s
         for k, walk in (
             (YAW, mount),
@@ -561,16 +595,39 @@ class JointFilter:
         state = replace(state, unseen_m=np.where(present, 0.0, state.unseen_m)).only(kept)
         if not len(new):
             return state
-        old, size = len(state.mean), len(state.mean) + 3 * len(new)
+        landmarks = np.concatenate([state.landmarks, new])
+        on = self._errors.objects[landmarks]
+        objects = np.flatnonzero(on.any(axis=0))
+        joining = np.setdiff1d(objects, state.objects)
+        first_own = self._fixed + 2 * len(objects)
+        size = first_own + 3 * (len(state.landmarks) + len(new))
         mean, covariance = np.zeros(size), np.zeros((size, size))
-        mean[:old], covariance[:old, :old] = state.mean, state.covariance
-        places = old + np.arange(3 * len(new)).reshape(-1, 3)
+        at = self._fixed + 2 * np.searchsorted(objects, state.objects)[:, None] + np.arange(2)
+        own = first_own + np.arange(3 * len(state.landmarks))
+        places = np.concatenate([np.arange(self._fixed), at.ravel(), own])
+        mean[places], covariance[np.ix_(places, places)] = state.mean, state.covariance
+        at = self._fixed + 2 * np.searchsorted(objects, joining)[:, None] + np.arange(2)
+        covariance[at[:, :, None], at[:, None]] = np.linalg.inv(self.still[joining])
+        places = first_own + 3 * len(state.landmarks) + np.arange(3 * len(new)).reshape(-1, 3)
         covariance[places[:, :, None], places[:, None]] = self._errors.own[new]
+        still = self.still[objects]
+        found = state.found and len(columns) >= _WITNESSES
+        if found:
+            # The pose was found by landmarks like these, and is off by what they are off by.
+            at = self._fixed + 2 * np.arange(len(objects))[:, None] + np.arange(2)
+            shares = on.mean(axis=0)[objects][:, None, None]
+            shared = shares * np.linalg.inv(still)
+            covariance[at, :2], covariance[:2, at] = shared, shared.transpose(2, 0, 1)
+            covariance[:2, :2] += (shares * shared).sum(axis=0)
+        still[np.searchsorted(objects, state.objects)] = state.still
         return replace(
             state,
             mean=mean,
             covariance=covariance,
-            landmarks=np.concatenate([state.landmarks, new]),
+            landmarks=landmarks,
             unseen_m=np.concatenate([state.unseen_m, np.zeros(len(new))]),
-            own=np.concatenate([state.own, self._errors.own[new]]),
+            objects=objects,
+            still=still,
+            on=on[:, objects],
+            found=state.found and not found,
         )

@@ -10,6 +10,7 @@ that have left are not corrected.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 from typing import NamedTuple
 
 import numpy as np
@@ -59,19 +60,23 @@ def smoothed_poses(
     """
     if not images:
         return []
+    # What was moved shows at the end, and is then known from the beginning.
+    first = copy(joint)
+    still = first.still.copy()
+    for k, seen in enumerate(images):
+        _observe(first, track, seen, lost is not None and bool(lost[k]))
+        still[first.state.objects] = first.state.still
+    known = joint.knowing(still)
     steps: list[_Step] = []
     for k, seen in enumerate(images):
-        after = joint.state
-        move_to(seen.stamp_ns, joint, track)
-        if lost is not None and lost[k]:
-            joint.forget_pose()
-        moved = joint.state
-        joint.observe(seen)
-        kept = _kept(joint, moved)
+        after = known.state
+        moved = _observe(known, track, seen, lost is not None and bool(lost[k]))
+        kept = _kept(known, moved)
         # What is not in the state after the image was an outlier.
-        left = np.isin(joint.predicted.landmarks, joint.state.landmarks)
-        steps.append(_Step(after, joint.predicted.only(left), moved.carried, kept))
-        joint.mark()
+        left = np.isin(known.predicted.landmarks, known.state.landmarks)
+        steps.append(_Step(after, known.predicted.only(left), moved.carried, kept))
+        known.mark()
+    joint.state = known.state
     found = [(joint.state.mean, joint.state.covariance)]
     for step in steps[:0:-1]:
         found.append(_backward(step, *found[-1]))
@@ -79,6 +84,16 @@ def smoothed_poses(
         PoseEstimate(seen.stamp_ns, mean[:3], covariance[:3, :3])
         for seen, (mean, covariance) in zip(images, reversed(found), strict=True)
     ]
+
+
+def _observe(joint: JointFilter, track: OdometryTrack, seen: ImagePoints, lost: bool) -> State:
+    """Correct a filter by an image, from anywhere if lost; return the state before."""
+    move_to(seen.stamp_ns, joint, track)
+    if lost:
+        joint.forget_pose()
+    moved = joint.state
+    joint.observe(seen)
+    return moved
 
 
 def _backward(
@@ -103,13 +118,16 @@ def _kept(joint: JointFilter, moved: State) -> float:
 def _carried(step: _Step, rows: FloatArray) -> FloatArray:
     """Apply the derivative of the prediction by the state before to the rows (n, k) of that."""
     after, predicted = step.after, step.predicted
-    fixed = len(after.mean) - 3 * len(after.landmarks)
+    fixed = after.first_own - 2 * len(after.objects)
     carried = np.zeros((len(predicted.mean), rows.shape[1]))
     carried[:CALIBRATION] = step.by_head @ rows[:CALIBRATION]
     carried[CALIBRATION:fixed] = rows[CALIBRATION:fixed]
+    both = np.intersect1d(after.objects, predicted.objects)
+    carried[predicted.displacements(both)] = rows[after.displacements(both)]
     here, there = np.nonzero(after.landmarks[:, None] == predicted.landmarks)
     for k in range(3):
-        carried[fixed + 3 * there + k] = step.kept * rows[fixed + 3 * here + k]
+        own = rows[after.first_own + 3 * here + k]
+        carried[predicted.first_own + 3 * there + k] = step.kept * own
     return carried
 
 
@@ -143,7 +161,6 @@ class ErrorRepetition:
     def add(self, before: State, moved: State, joint: JointFilter) -> None:
         """Add an image: the state after the last image, that before this one, and the filter."""
         predicted, after = joint.predicted, joint.state
-        fixed = len(before.mean) - 3 * len(before.landmarks)
         crossed = np.zeros((len(predicted.mean), 0))
         if self._count:
             step = _Step(before, predicted, moved.carried, _kept(joint, moved))
@@ -153,7 +170,7 @@ class ErrorRepetition:
             corrected = after.covariance @ _solved(predicted.covariance, crossed)
         else:
             # The image was not used, and its new landmarks are left out.
-            corrected = crossed[np.append(np.ones(fixed, np.bool_), np.repeat(left, 3))]
+            corrected = crossed[predicted.rows(left)]
         whiten = np.linalg.inv(np.linalg.cholesky(after.covariance[:3, :3]))
         self._repeated += 2.0 * self._stride * float(np.sum((whiten @ corrected[:3]) ** 2))
         self._repeated += len(whiten)

@@ -34,23 +34,26 @@ class MapErrors(NamedTuple):
     Landmarks of a map and their errors.
 
     `positions` (n, 3) and `own` (n, 3, 3), the covariance of each landmark by itself, are in map;
-    `loadings` (n, 3, f) are those of the shared factors.
+    `loadings` (n, 3, f) are those of the shared factors; `objects` (n, m) says which are on each
+    of the objects that may have been moved since learning.
     """
 
     positions: FloatArray
     own: FloatArray
     loadings: FloatArray
+    objects: npt.NDArray[np.bool_]
 
     @classmethod
-    def of(cls, landmark_map: LandmarkMap) -> MapErrors:
-        """Return those of a map."""
+    def of(cls, landmark_map: LandmarkMap, movable: bool = True) -> MapErrors:
+        """Return those of a map, in which objects may have been moved or not."""
         loadings = landmark_map.shared_loadings
         own = landmark_map.covariances - loadings @ loadings.swapaxes(1, 2)
-        return cls(landmark_map.positions, own, loadings)
+        objects = landmark_map.objects if movable else np.zeros((len(own), 0), dtype=np.bool_)
+        return cls(landmark_map.positions, own, loadings, objects)
 
     @property
     def end(self) -> int:
-        """Where the shared factors end in the state, and own errors of landmarks begin."""
+        """Where the shared factors end in the state, and displacements of objects begin."""
         return STATES + int(self.loadings.shape[2])
 
 
@@ -63,11 +66,16 @@ class State:
     covariance: FloatArray
     by_noise: FloatArray
     scales: NoiseScales
-    # Columns of the landmarks with own errors in the state, the way since each was seen, and the
-    # prior covariance (n, 3, 3) of each, which may exceed that of the map.
+    # Columns of the landmarks with own errors in the state, and the way since each was seen.
     landmarks: IndexArray
     unseen_m: FloatArray
-    own: FloatArray
+    # Numbers of the objects (k,) that they are on, in order, and the inverse prior covariance
+    # (k, 2, 2) of the displacement of each since learning; which (n, k) landmarks are on each.
+    objects: IndexArray
+    still: FloatArray
+    on: npt.NDArray[np.bool_]
+    # Whether the pose was found by images: then it shares the displacements of what they show.
+    found: bool = False
     way_m: float = 0.0
     seconds: float = 0.0
     # Pose of the base when an image of this time was taken, in the base at this time.
@@ -86,20 +94,36 @@ class State:
         variance = prior.covariance[which, which] - self.covariance[which, which]
         return replace(self, corrections=prior.corrections + np.stack([shift, variance]))
 
+    @property
+    def first_own(self) -> int:
+        """Where own errors of landmarks begin, after the displacements of objects."""
+        return len(self.mean) - 3 * len(self.landmarks)
+
+    def displacements(self, objects: IndexArray) -> IndexArray:
+        """Where (m, 2) the displacements of these objects are in the state."""
+        first = self.first_own - 2 * len(self.objects)
+        return first + 2 * np.searchsorted(self.objects, objects)[:, None] + np.arange(2)
+
+    def rows(self, kept: npt.NDArray[np.bool_]) -> IndexArray:
+        """Where the state with some of its landmarks, `kept` (n,), and their objects is."""
+        left = self.on[kept].any(axis=0)
+        fixed = np.ones(self.first_own - 2 * len(self.objects), np.bool_)
+        return np.flatnonzero(np.concatenate([fixed, np.repeat(left, 2), np.repeat(kept, 3)]))
+
     def only(self, kept: npt.NDArray[np.bool_]) -> State:
-        """Return the state with own errors of some of its landmarks, `kept` (n,)."""
+        """Return the state with some of its landmarks, `kept` (n,), and their objects."""
         if kept.all():
             return self
-        fixed = len(self.mean) - 3 * len(kept)
-        own = fixed + 3 * np.flatnonzero(kept)[:, None] + [0, 1, 2]
-        rows = np.concatenate([np.arange(fixed), own.ravel()])
+        left, rows = self.on[kept].any(axis=0), self.rows(kept)
         return replace(
             self,
             mean=self.mean[rows],
             covariance=self.covariance[np.ix_(rows, rows)],
             landmarks=self.landmarks[kept],
             unseen_m=self.unseen_m[kept],
-            own=self.own[kept],
+            on=self.on[np.ix_(kept, left)],
+            objects=self.objects[left],
+            still=self.still[left],
         )
 
 
