@@ -241,8 +241,9 @@ class JointFilter:
         """
         Return the filter of the same robot at another pose.
 
-        Estimates of wheels, mount, floor and map are kept. The errors of a pose that the camera
-        found, turning at this rate to the left, are correlated with those of mount and delay.
+        Estimates of wheels, mount, floor and map are kept, those of landmarks and objects are not.
+        The errors of a pose that the camera found, turning at this rate to the left, are
+        correlated with those of mount and delay.
         """
         other = JointFilter(self._map, self.calibration, start, self._config, self._odometry)
         mine, new = self.state, other.state
@@ -277,7 +278,7 @@ class JointFilter:
         return other._with(_continued(new, mean, covariance, by_noise, mine))
 
     def on_map(self, landmark_map: LandmarkMap) -> JointFilter:
-        """Return the filter of the same robot at the same pose, with other landmarks."""
+        """Return the filter of the same robot at the same pose, with new landmarks and objects."""
         other = JointFilter(
             landmark_map, self.calibration, self.estimate, self._config, self._odometry
         )
