@@ -62,8 +62,8 @@ def test_a_prefixed_joint_is_taken_if_it_is_the_only_one(tmp_path, name):
     assert f'{name} for pan_joint' in warnings[0]
 
 
-@pytest.mark.parametrize(('robot', 'told'), [('tilt_joint: tilt_joint', True), ('', False)])
-def test_a_tilt_joint_of_the_robot_file_that_no_message_has_is_named(tmp_path, robot, told):
+@pytest.mark.parametrize(('robot', 'expected'), [('tilt_joint: tilt_joint', True), ('', False)])
+def test_a_tilt_joint_of_the_robot_file_that_no_message_has_is_named(tmp_path, robot, expected):
     def without_tilt(topic, message):
         if topic == '/joint_states':
             message.name, message.position = message.name[:1], message.position[:1]
@@ -77,7 +77,7 @@ def test_a_tilt_joint_of_the_robot_file_that_no_message_has_is_named(tmp_path, r
     np.testing.assert_allclose(found, PANS)
     named = 'tilt_joint' in ' '.join(warnings)
     checked = [f.line() for f in diagnose(Bag(drive), Calibration.of_mount(mount)).warnings]
-    assert named is any('tilt_joint' in line for line in checked) is told
+    assert named is any('tilt_joint' in line for line in checked) is expected
 
 
 @pytest.mark.parametrize('turns', [-100_000, -1, 0, 1, 100_000])
