@@ -599,28 +599,28 @@ class JointFilter:
         landmarks = np.concatenate([state.landmarks, new])
         on = self._errors.objects[landmarks]
         objects = np.flatnonzero(on.any(axis=0))
-        joining = np.setdiff1d(objects, state.objects)
         first_own = self._fixed + 2 * len(objects)
         size = first_own + 3 * (len(state.landmarks) + len(new))
         mean, covariance = np.zeros(size), np.zeros((size, size))
-        at = self._fixed + 2 * np.searchsorted(objects, state.objects)[:, None] + np.arange(2)
+        at = self._fixed + 2 * np.arange(len(objects))[:, None] + np.arange(2)
+        before = np.searchsorted(objects, state.objects)
         own = first_own + np.arange(3 * len(state.landmarks))
-        places = np.concatenate([np.arange(self._fixed), at.ravel(), own])
+        places = np.concatenate([np.arange(self._fixed), at[before].ravel(), own])
         mean[places], covariance[np.ix_(places, places)] = state.mean, state.covariance
-        at = self._fixed + 2 * np.searchsorted(objects, joining)[:, None] + np.arange(2)
-        covariance[at[:, :, None], at[:, None]] = np.linalg.inv(self.still[joining])
+        joining = np.setdiff1d(np.arange(len(objects)), before)
+        variances = np.linalg.inv(self.still[objects])
+        covariance[at[joining][:, :, None], at[joining][:, None]] = variances[joining]
         places = first_own + 3 * len(state.landmarks) + np.arange(3 * len(new)).reshape(-1, 3)
         covariance[places[:, :, None], places[:, None]] = self._errors.own[new]
         still = self.still[objects]
         found = state.found and len(columns) >= _WITNESSES
         if found:
             # The pose was found by landmarks like these, and is off by what they are off by.
-            at = self._fixed + 2 * np.arange(len(objects))[:, None] + np.arange(2)
             shares = on.mean(axis=0)[objects][:, None, None]
-            shared = shares * np.linalg.inv(still)
+            shared = shares * variances
             covariance[at, :2], covariance[:2, at] = shared, shared.transpose(2, 0, 1)
             covariance[:2, :2] += (shares * shared).sum(axis=0)
-        still[np.searchsorted(objects, state.objects)] = state.still
+        still[before] = state.still
         return replace(
             state,
             mean=mean,

@@ -105,6 +105,11 @@ def isotropic(count: int, variance_m2: float) -> FloatArray:
     return np.tile(np.eye(2) / variance_m2, (count, 1, 1))
 
 
+def _variances_m2(state: State) -> FloatArray:
+    """Mean of the prior variances of each displacement (k,) along x and y."""
+    return np.asarray(np.linalg.inv(state.still).trace(axis1=1, axis2=2) / 2.0)
+
+
 def weighed(state: State, log_odds: float, moved_m2: float) -> State:
     """
     Return the state with the priors of the mixtures, by all images so far.
@@ -131,7 +136,7 @@ def weighed(state: State, log_odds: float, moved_m2: float) -> State:
         - _log_evidence(means, covariances, state.still, closed)
     )
     # What one object explains, another may explain as well.
-    opened = np.linalg.inv(state.still).trace(axis1=1, axis2=2) / (2.0 * moved_m2)
+    opened = _variances_m2(state) / moved_m2
     possible = np.flatnonzero((share > _POSSIBLE) | (opened > _POSSIBLE))
     together = possible[np.argsort(-np.maximum(share, opened)[possible])][:_MOST_TOGETHER]
     if len(together) > 1:
@@ -168,5 +173,4 @@ def moved(state: State, moved_m2: float) -> npt.NDArray[np.bool_]:
     covariances = state.covariance[places[:, :, None], places[:, None]]
     off = state.mean[places][..., None]
     squares = (off.swapaxes(1, 2) @ np.linalg.solve(covariances, off))[:, 0, 0]
-    variances = np.linalg.inv(state.still).trace(axis1=1, axis2=2) / 2.0
-    return np.asarray((variances > 0.5 * moved_m2) & (squares > _CLEARLY**2))
+    return np.asarray((_variances_m2(state) > 0.5 * moved_m2) & (squares > _CLEARLY**2))
