@@ -38,7 +38,6 @@ from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.geometry.patches import PatchView
 from landmark_nav.geometry.se2 import rot_z
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig
-from landmark_nav.localization.detection.appearance import textures
 from landmark_nav.localization.detection.correlation import detect_landmarks
 from landmark_nav.localization.detection.expectation import DetectionConfig, expect, View
 from landmark_nav.localization.detection.rows import RowModel, RowResiduals, wrong_heights
@@ -109,17 +108,6 @@ def test_a_virtual_view_shows_what_the_nearest_panorama_saw():
     assert np.abs(errors_of(virtual, HERE, landmarks)).max() < 2e-4
     alone = replace(landmarks, landmarks=tuple(replace(k, views=()) for k in landmarks.landmarks))
     assert len(detect(frame, HERE, alone).detections) == 0
-
-
-def test_a_landmark_that_many_panoramas_saw_alike_is_found():
-    landmarks = map_of(PLACES)
-    views = tuple(
-        PatchView(np.array([2.9 + 0.02 * k, 2.3, 1.15]), landmarks.landmarks[0].patch)
-        for k in range(15)
-    )
-    landmark = replace(landmarks.landmarks[0], views=views)
-    shown = textures(landmark, np.array([3.0, 2.3, 1.15]))
-    assert sum(texture.share for texture in shown) == pytest.approx(1.0)
 
 
 def test_a_covered_landmark_is_refused():

@@ -92,28 +92,6 @@ def test_messages_lose_nothing():
     assert (speeds.linear_m_s, speeds.angular_rad_s) == (0.3, -0.2)
 
 
-def test_a_wrong_start_teaches_nothing():
-    drive = simulated(4, seconds=20.0, prior=Calibration.of_mount(MOUNT))
-    fusion, right = fused(drive), fused(drive)
-    images = 0
-    for what in arriving(drive):
-        take(right, what)
-        take(fusion, what)
-        images += not isinstance(what, OdometrySample)
-        now = right.estimate()
-        if images == 40 and not isinstance(what, OdometrySample):
-            aside = np.array([0.8, 0.6, 0.0])
-            wrong = replace(now, pose=now.pose + aside, covariance=1e-4 * np.eye(3))
-            fusion.initialize(wrong)
-        if images > 40 and fusion.status_at()[0] is Status.LOST:
-            fusion.place(replace(now, covariance=1e-4 * np.eye(3)))
-    status, _ = fusion.status_at()
-    assert status is not Status.LOST
-    off = fusion.calibration.values - drive.true.values
-    assert (np.abs(off) < 5.0 * fusion.calibration.sigmas).all()
-    assert np.abs(error(fusion, drive)[:2]).max() < 0.03
-
-
 def test_what_a_map_was_learned_with_is_the_prior():
     drive = simulated(4, seconds=2.0, prior=Calibration.of_mount(MOUNT))
     found = Calibration(drive.prior.values + 1e-3, 1e-4 * drive.prior.covariance)
@@ -213,20 +191,6 @@ def test_silence_is_reported():
     status, reason = fusion.status_at(5 * NS)
     assert status is not Status.OK
     assert 'no odometry for' in reason
-
-
-def test_detections_that_stop_are_told_from_images_without_a_landmark():
-    drive = simulated(5, seconds=6.0)
-    blind, stopped = fused(drive), fused(drive)
-    for what in arriving(drive):
-        if isinstance(what, OdometrySample) or what[0].stamp_ns < 3 * NS:
-            take(blind, what)
-            take(stopped, what)
-        else:
-            take(blind, (what[0].chosen(np.zeros(len(what[0]), np.bool_)), what[1]))
-    assert 'no detections' in stopped.status_at()[1]
-    assert blind.status_at()[1]
-    assert 'no detections' not in blind.status_at()[1]
 
 
 @pytest.mark.parametrize(

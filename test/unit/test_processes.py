@@ -13,7 +13,6 @@ import time
 import pytest
 
 from landmark_nav.demo.supervisor import Interruption, ProcessEndedError, Supervisor
-from landmark_nav.ros.health import Latency
 from landmark_nav.ros.run import LatestOnlyWorker, ShutdownGuard
 from landmark_nav.signals import interrupting
 
@@ -38,16 +37,6 @@ def test_what_waits_makes_way_for_what_is_newer():
     wait_until(lambda: len(done) == 2)
     assert done == [0, 5]
     assert worker.dropped == 4
-
-
-def test_ages_by_another_clock_are_none():
-    latency = Latency()
-    assert latency.values() == {}
-    latency.note(10**18)
-    assert latency.values() == {}
-    for age_ms in range(1, 101):
-        latency.note(age_ms * 10**6)
-    assert latency.values() == {'latency_median_ms': '50', 'latency_p95_ms': '95'}
 
 
 SIGNALS = [signal.SIGINT, signal.SIGTERM]
