@@ -12,7 +12,7 @@ from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.messages import decode
 from landmark_nav.messages.encode import camera_transform, joint_transforms
 from landmark_nav.messages.factory import rosbag_factory
-from landmark_nav.simulation.drive_path import plan_tour
+from landmark_nav.simulation.drive_path import PathFollower, plan_tour, plan_way
 from landmark_nav.simulation.furnishing import generate_scene
 from landmark_nav.simulation.pan_tilt_unit import PanControl
 from landmark_nav.simulation.scene import choose_sweep_places
@@ -142,6 +142,7 @@ class TestCommand:
         assert not out.exists()
 
 
+DT = 1.0 / 60.0
 EXACT = DriveConfig(scale_sigma=0.0, track_sigma=0.0, slip_sigma_m=0.0, encoder_step_m=0.0)
 
 
@@ -160,6 +161,30 @@ class TestDifferentialDrive:
             chord = np.hypot(x, y) / np.sinc(0.5 * turn / np.pi)
             ways.append(chord / np.linalg.norm(base.pose_map_base[:2] - [1.0, 2.0]) - 1.0)
         assert np.std(ways) == pytest.approx(0.01 / np.sqrt(2.0), rel=0.15)
+
+
+class TestDrivePath:
+    scene = generate_scene(4)
+
+    def test_follower_keeps_to_the_path(self):
+        path = plan_tour(self.scene, (3.5, 2.5), 8.0, np.random.default_rng(1))
+        base = DifferentialDrive(EXACT, (*path[0], 0.0), lambda xy: True, np.random.default_rng(0))
+        follower = PathFollower(path, 0.4)
+        off = []
+        for _ in range(60 * 90):
+            if follower.finished:
+                break
+            base.command(*follower.command(base.pose_map_base))
+            base.step(DT)
+            off.append(np.linalg.norm(path - base.pose_map_base[:2], axis=1).min())
+        assert follower.finished
+        assert max(off) < 0.25
+        assert np.linalg.norm(base.pose_map_base[:2] - path[-1]) < 0.2
+
+    def test_way_leads_from_place_to_place(self):
+        way = plan_way(self.scene, (3.5, 2.5), (5.5, 3.5))
+        assert way[0] == pytest.approx([3.5, 2.5], abs=0.1)
+        assert way[-1] == pytest.approx([5.5, 3.5], abs=0.1)
 
 
 def test_a_camera_that_is_tilted_against_its_joint(world):
