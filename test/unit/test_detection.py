@@ -44,7 +44,6 @@ from landmark_nav.localization.detection.rows import RowModel, RowResiduals, wro
 from landmark_nav.localization.localizer import LocalizationConfig, Localizer
 from landmark_nav.localization.relocalization.stream import Relocalizer
 from landmark_nav.localization.relocalization.verification import estimate_camera_tilt
-from landmark_nav.matching.alignment import match_template
 from landmark_nav.types import PoseEstimate, Refusal
 
 
@@ -366,26 +365,3 @@ def test_edges_alone_find_no_place_but_keep_one(learned):
         update = localizer.add_frame(frame)
         # Where the window is wide, another edge may be in it.
         assert bool(len(update.observation.detections)) is used
-
-
-@pytest.mark.parametrize('slope', [0.0, 0.07, -0.07])
-def test_matches_of_an_edge_err_across_as_their_covariance_states(slope):
-    down, across = np.mgrid[:46, :60].astype(np.float64)
-
-    def image(at):
-        distance = across - at - slope * (down - 22.5)
-        step = 90.0 + 70.0 / (1.0 + np.exp(-2.0 * distance))
-        return step + 25.0 * np.exp(-0.5 * ((distance - 5.0) / 1.5) ** 2)
-
-    squares = []
-    for seed in range(200):
-        rng = np.random.default_rng([seed, 5])
-        shift = rng.uniform(-1.5, 1.5)
-        template = image(29.5)[8:38, 15:45].astype(np.float32)
-        search = (image(29.5 + shift) + 15.0 * rng.standard_normal(down.shape)).astype(np.float32)
-        found = match_template(search, template, edge=True)
-        # Any point of the edge is as good as any other.
-        off = found.xy[0] - 29.5 - shift - slope * (found.xy[1] - 22.5)
-        squares.append(off**2 / ([1.0, -slope] @ found.covariance @ [1.0, -slope]))
-        assert found.covariance[1, 1] > 10.0
-    assert 0.7 < np.mean(squares) < 1.4

@@ -75,22 +75,6 @@ def panoramas(scene):
 
 
 @pytest.mark.parametrize(
-    ('point', 'wall'),
-    [((6.0, 2.5, 1.2), 1), ((3.0, 5.0, 1.0), 2), ((0.0, 1.5, 0.9), 3), ((2.5, 0.0, 1.3), 0)],
-)
-def test_a_candidate_lies_where_its_ray_meets_the_wall(panoramas, point, wall):
-    patch = patch_at(panoramas[0], np.array(point))
-    assert patch.wall == wall
-    np.testing.assert_allclose(patch.normal, ROOM.normals[wall])
-    # Within half a pixel, which is 1 to 2 cm here.
-    np.testing.assert_allclose(patch.position, point, atol=0.02)
-    seen = own_measurement(patch, panoramas[0])
-    expected = direction_to(panoramas[0], patch.position)
-    expected[0] += 2.0 * np.pi * np.round((seen.azimuth_rad - expected[0]) / (2.0 * np.pi))
-    np.testing.assert_allclose([seen.azimuth_rad, seen.tangent], expected, atol=1e-9)
-
-
-@pytest.mark.parametrize(
     ('point', 'reason'),
     [
         ((6.0, 2.5, 0.0), 'floor or ceiling'),
