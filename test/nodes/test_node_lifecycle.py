@@ -7,6 +7,8 @@ from graph import small_map
 from lifecycle_msgs.msg import Transition
 from lifecycle_msgs.srv import ChangeState, GetState
 import pytest
+from rosbags.rosbag1 import Writer
+from rosbags.typesys import get_typestore, Stores
 
 from landmark_nav.demo.supervisor import node_commands
 from landmark_nav.errors import LandmarkNavError
@@ -50,6 +52,17 @@ def test_what_cannot_run_states_why(node, parameter, words, run_main):
     status, (line,) = run_main(node, '-p', parameter)
     assert status == 1
     assert words in line
+
+
+def test_a_bag_of_ros_1_is_played(tmp_path, run_main):
+    store = get_typestore(Stores.ROS1_NOETIC)
+    kind = 'std_msgs/msg/String'
+    with Writer(tmp_path / 'notes.bag') as bag:
+        notes = bag.add_connection('/note', kind, typestore=store)
+        bag.write(notes, 5, store.serialize_ros1(store.types[kind]('a'), kind))
+    status, reported = run_main('bag_player', '-p', f'bag:={tmp_path / "notes.bag"}')
+    assert status == 0, reported
+    assert 'is played' in '\n'.join(reported)
 
 
 FUSION, LEARNER = 'odometry_fusion', 'landmark_learner'

@@ -53,6 +53,28 @@ def fuse(search, stamp_ns, covariance):
     search.prior.add(pose, OdometrySample(stamp_ns, np.zeros(3)))
 
 
+def test_it_searches_where_no_pose_or_an_uncertain_one_is_known(search):
+    search.consider(0)
+    assert search.active
+    fuse(search, 0, SURE)
+    search.consider(0)
+    assert not search.active
+    fuse(search, 0, WIDE)
+    search.consider(0)
+    assert search.active
+
+
+def test_a_fused_pose_that_is_late_is_waited_for(search):
+    fuse(search, 0, SURE)
+    search.consider(SECOND)
+    assert not search.active
+    search.consider(3 * SECOND)
+    assert search.active, 'who fused has ended'
+    fuse(search, 3 * SECOND, SURE)
+    search.consider(3 * SECOND)
+    assert not search.active
+
+
 class Finder:
     """Finds a place with every image."""
 

@@ -37,9 +37,13 @@ TAPE = Calibration.of_mount(MOUNT)
 
 
 @cache
-def usual(seed, seconds=24.0):
-    """What came of a drive by an exact mount."""
-    return driven(simulated(seed, seconds=seconds))
+def drive_of(seed, seconds, prior):
+    return driven(simulated(seed, prior, seconds=seconds))
+
+
+def usual(seed, seconds=24.0, prior=None):
+    """What came of a drive, by an exact mount unless another is given."""
+    return drive_of(seed, seconds, prior)
 
 
 def any_state(seed):
@@ -170,8 +174,7 @@ def test_a_value_that_is_given_as_exact_stays_and_is_named_where_it_is_wrong(nam
 
 @pytest.mark.parametrize('prior', [None, TAPE], ids=['exact', 'tape'])
 def test_errors_are_as_large_as_the_covariance_claims(prior):
-    drives = (simulated(seed, TAPE, seconds=24.0) for seed in range(10))
-    runs = [driven(drive) for drive in drives] if prior is TAPE else [*map(usual, range(10))]
+    runs = [usual(seed, prior=prior) for seed in range(10)]
     each = np.array([run.nees.mean() for run in runs])
     # Errors of a drive have much in common: its mean is about one draw.
     assert abs(each.mean() - 3.0) < 3.0 * max(each.std() / np.sqrt(len(each)), 0.3)
@@ -180,10 +183,9 @@ def test_errors_are_as_large_as_the_covariance_claims(prior):
 
 def test_the_calibration_is_as_wrong_as_its_covariance_claims():
     squares = []
-    for seed in range(8):
-        drive = simulated(100 + seed, TAPE, seconds=24.0)
-        found = driven(drive).filter.calibration
-        off = found.values - drive.true.values
+    for seed in range(10):
+        found = usual(seed, prior=TAPE).filter.calibration
+        off = found.values - simulated(seed, TAPE, seconds=24.0).true.values
         squares.append(off @ np.linalg.solve(found.covariance, off))
     assert 0.6 * len(NAMES) < np.mean(squares) < 1.5 * len(NAMES)
 
