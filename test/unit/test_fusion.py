@@ -193,6 +193,20 @@ def test_silence_is_reported():
     assert 'no odometry for' in reason
 
 
+def test_detections_that_stop_are_told_from_images_without_a_landmark():
+    drive = simulated(5, seconds=6.0)
+    blind, stopped = fused(drive), fused(drive)
+    for what in arriving(drive):
+        if isinstance(what, OdometrySample) or what[0].stamp_ns < 3 * NS:
+            take(blind, what)
+            take(stopped, what)
+        else:
+            take(blind, (what[0].chosen(np.zeros(len(what[0]), np.bool_)), what[1]))
+    assert 'no detections' in stopped.status_at()[1]
+    assert blind.status_at()[1]
+    assert 'no detections' not in blind.status_at()[1]
+
+
 @pytest.mark.parametrize(
     ('factor', 'scale_sigma', 'reported'),
     [(1.0, 0.0, False), (0.82, 0.02, True), (1.2, 0.0, True), (0.82, 0.1, False)],

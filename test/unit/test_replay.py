@@ -179,3 +179,6 @@ def test_evo_agrees(beside, tmp_path):
         # evo's angle comes from the trace of a rotation matrix: less digits near zero.
         rmse = heading.get_statistic(metrics.StatisticsType.rmse)
         assert rmse == pytest.approx(summary['heading_rmse_deg'], abs=1e-6)
+        for name, measure in (('position_p95_m', position), ('heading_p95_deg', heading)):
+            expected = np.percentile(measure.error, 95.0)
+            assert summary[name] == pytest.approx(expected, abs=1e-6)
