@@ -213,38 +213,20 @@ def test_bags_of_hostile_messages(data, scratch):
     enter(lambda: read_all(scratch / 'bag'))
 
 
-@FUZZ
-@given(data=st.data())
-def test_checks_of_hostile_drives(data, scratch):
-    path = scratch / 'bag'
-    hostile = data.draw(st.sampled_from(BAG_TOPICS))
-
-    def sent():
-        for topic in BAG_TOPICS:
-            for k in range(10, 14):
-                message = corpus.recorded()[topic]
-                if topic == hostile and data.draw(st.booleans()):
-                    message = changed(data, topic)
-                stamp = k * corpus.SECOND_NS
-                logged = data.draw(st.sampled_from([stamp, stamp, *LOG_NS]))
-                yield topic, logged, serialized(topic, message)
-
-    write_raw(path, sent())
-    enter(lambda: check_bag(path))
-    enter(lambda: list(sensor_events(Bag(path, lambda _: None), PanTiltMount())))
-
-
 SWEEP_TOPICS = ('sweep/image/compressed', 'sweep/camera_info', 'sweep/trajectory', 'sweep/pose')
 
 
+@pytest.mark.parametrize(
+    ('topics', 'read'), [(BAG_TOPICS, sensor_events), (SWEEP_TOPICS, read_sweeps)]
+)
 @FUZZ
 @given(data=st.data())
-def test_hostile_sweeps(data, scratch):
+def test_checks_of_hostile_drives_and_sweeps(topics, read, data, scratch):
     path = scratch / 'bag'
-    hostile = data.draw(st.sampled_from(SWEEP_TOPICS))
+    hostile = data.draw(st.sampled_from(topics))
 
     def sent():
-        for topic in SWEEP_TOPICS:
+        for topic in topics:
             for k in range(1 if 'trajectory' in topic else 12):
                 stamp = 10 * corpus.SECOND_NS + k * corpus.SECOND_NS // 10
                 if topic == hostile and data.draw(st.booleans()):
@@ -252,8 +234,9 @@ def test_hostile_sweeps(data, scratch):
                 else:
                     message = deepcopy(corpus.recorded()[topic])
                     message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp, 10**9)
-                yield topic, stamp, serialized(topic, message)
+                logged = data.draw(st.sampled_from([stamp, stamp, *LOG_NS]))
+                yield topic, logged, serialized(topic, message)
 
     write_raw(path, sent())
     enter(lambda: check_bag(path))
-    enter(lambda: list(read_sweeps(Bag(path, lambda _: None), PanTiltMount())))
+    enter(lambda: list(read(Bag(path, lambda _: None), PanTiltMount())))

@@ -26,15 +26,18 @@ OFF = {
 }
 
 
+def without_sigmas(folder):
+    """Calibration that a person with a tape and a spirit level knows, kept in `right.yaml`."""
+    lines = (BAGS / 'robot.yaml').read_text().splitlines(True)
+    (folder / 'right.yaml').write_text(''.join(k for k in lines if 'sigma:' not in k))
+    return load_calibration(folder / 'right.yaml')
+
+
 @pytest.fixture(scope='module')
 def calibrated(fewer, tmp_path_factory):
     """Folder with what came of a robot.yaml that is off; the right calibration, the given one."""
     folder = tmp_path_factory.mktemp('calibrate')
-    # Without sigmas: what a person with a tape and a spirit level knows.
-    text = (BAGS / 'robot.yaml').read_text()
-    known = [line for line in text.splitlines(True) if 'sigma:' not in line]
-    (folder / 'right.yaml').write_text(''.join(known))
-    right = load_calibration(folder / 'right.yaml')
+    right = without_sigmas(folder)
     given = right.with_values(**{name: right[name][0] + off for name, off in OFF.items()})
     save_calibration(given, folder / 'given.yaml')
     better = folder / 'better.yaml'
@@ -123,11 +126,7 @@ def test_what_a_robot_that_stands_does_not_show_stays_as_given(recorded, tmp_pat
 def test_sweeps_and_a_drive_need_no_plan(fewer, tmp_path):
     """The frame and the scale are those of odometry; the mount is found all the same."""
     sweeps = str(with_odometry(BAGS / 'learn', tmp_path / 'sweeps', 1.0))
-    text = (BAGS / 'robot.yaml').read_text()
-    (tmp_path / 'right.yaml').write_text(
-        ''.join(k for k in text.splitlines(True) if 'sigma:' not in k)
-    )
-    right = load_calibration(tmp_path / 'right.yaml')
+    right = without_sigmas(tmp_path)
     given = right.with_values(axis_yaw=right['axis_yaw'][0] + OFF['axis_yaw'])
     save_calibration(given, tmp_path / 'given.yaml')
     words = ['--robot', str(tmp_path / 'given.yaml'), '--out', str(tmp_path / 'better.yaml')]

@@ -1,8 +1,6 @@
 """Learning without a plan, from sweeps with odometry between them, through the commands."""
 
 import json
-from types import SimpleNamespace
-from typing import Any
 
 from harness import BAGS, command, evaluate, start_of
 import numpy as np
@@ -10,11 +8,8 @@ import pytest
 from unmeasured import with_odometry
 
 from landmark_nav.cli.main import main
-from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.learning_report import truth_of_bag
 from landmark_nav.geometry import se2
-from landmark_nav.learning.facades.planes import SeenPoints
-from landmark_nav.learning.unmeasured import with_plan
 from landmark_nav.storage.bags import Bag
 from landmark_nav.storage.setup_files import load_room
 
@@ -69,17 +64,6 @@ def test_the_walls_found_can_be_corrected_and_given(learned, tmp_path):
     again = json.loads((tmp_path / 'learn.json').read_text())
     assert again['sweeps'][1]['pose'] == pytest.approx(learned[0]['sweeps'][1]['pose'], abs=3e-3)
     assert set(again['landmarks_per_wall']) == set(learned[0]['landmarks_per_wall'])
-
-
-def test_a_plan_in_another_frame_is_refused(learned):
-    walls = load_room(learned[1] / 'room.yaml').walls
-    share = np.linspace(0.0, 1.0, 40)[:, None]
-    xy = np.vstack([w.start + share * np.subtract(w.end, w.start) for w in walls])
-    points = SeenPoints(np.column_stack([xy, np.full(len(xy), 1.5)]), *np.zeros((2, len(xy))))
-    poses = SimpleNamespace(states=np.zeros((1, 6)), scale_sigma=0.03)
-    found: Any = SimpleNamespace(points=points, poses=poses)
-    with pytest.raises(LandmarkNavError, match='first sweep'):
-        with_plan(found, load_room(BAGS / 'room.yaml'))
 
 
 def test_the_map_serves_a_drive(learned, tmp_path):

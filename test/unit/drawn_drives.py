@@ -57,14 +57,7 @@ def point_map(rng, count=40, sigma_m=0.002):
     covariance = sigma_m**2 * np.eye(3) + shared @ shared.T
     return LandmarkMap(
         tuple(
-            bare_landmark(
-                k,
-                at,
-                covariance,
-                normal=normal[k],
-                wall_id=walls[k],
-                **given,
-            )
+            bare_landmark(k, at, covariance, normal=normal[k], wall_id=walls[k], **given)
             for k, at in enumerate(np.column_stack([x, y, z]))
         )
     )

@@ -9,9 +9,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.cylinder import Cylinder
 from landmark_nav.learning.attention.maps import (
     AttentionConfig,
-    corner_map,
     edge_gradients,
-    point_symmetry_map,
 )
 from landmark_nav.learning.attention.selection import attend, refusal
 from landmark_nav.types import Candidate
@@ -229,33 +227,5 @@ def rectangle():
     return gray
 
 
-def slanted_rings(slant_deg, dark):
-    y, x = np.mgrid[:SIZE, :SIZE] - (SIZE - 1) / 2.0
-    distance = np.hypot(x / np.cos(np.radians(slant_deg)), y)
-    inside = (distance < 40.0) & (np.floor(distance / 8.0) % 2 == int(dark))
-    return cv2.GaussianBlur(np.where(inside, 220, 40).astype(np.uint8), (0, 0), 0.7)
-
-
-def horizontal_bars():
-    return pattern('horizontal bars')[:, :SIZE].astype(np.uint8)
-
-
 def gradients(gray):
     return edge_gradients(gray, 4.0, 10.0)
-
-
-def test_corners_are_at_corners_and_not_between_parallel_lines():
-    corners = corner_map(gradients(rectangle()))
-    assert corners[55:66, 45:56].max() > 0.3
-    assert corners[90:110, 45:56].max() < 0.05
-    assert corner_map(gradients(horizontal_bars())).max() < 0.05
-
-
-@pytest.mark.parametrize('slant_deg', [0.0, 30.0, 50.0])
-@pytest.mark.parametrize('dark', [False, True])
-def test_point_symmetry_peaks_at_the_centre_of_rings(slant_deg, dark):
-    symmetry = point_symmetry_map(gradients(slanted_rings(slant_deg, dark=dark)))
-    row, column = np.unravel_index(symmetry.argmax(), symmetry.shape)
-    assert symmetry.max() > 0.4
-    assert abs(2 * row - SIZE / 2) <= 4
-    assert abs(2 * column - SIZE / 2) <= 4

@@ -38,14 +38,12 @@ from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.geometry.patches import PatchView
 from landmark_nav.geometry.se2 import rot_z
 from landmark_nav.learning.pipeline import learn_from_panoramas, LearningConfig
-from landmark_nav.localization.detection.appearance import textures
 from landmark_nav.localization.detection.correlation import detect_landmarks
 from landmark_nav.localization.detection.expectation import DetectionConfig, expect, View
 from landmark_nav.localization.detection.rows import RowModel, RowResiduals, wrong_heights
 from landmark_nav.localization.localizer import LocalizationConfig, Localizer
 from landmark_nav.localization.relocalization.stream import Relocalizer
 from landmark_nav.localization.relocalization.verification import estimate_camera_tilt
-from landmark_nav.matching.alignment import match_template
 from landmark_nav.types import PoseEstimate, Refusal
 
 
@@ -109,17 +107,6 @@ def test_a_virtual_view_shows_what_the_nearest_panorama_saw():
     assert np.abs(errors_of(virtual, HERE, landmarks)).max() < 2e-4
     alone = replace(landmarks, landmarks=tuple(replace(k, views=()) for k in landmarks.landmarks))
     assert len(detect(frame, HERE, alone).detections) == 0
-
-
-def test_a_landmark_that_many_panoramas_saw_alike_is_found():
-    landmarks = map_of(PLACES)
-    views = tuple(
-        PatchView(np.array([2.9 + 0.02 * k, 2.3, 1.15]), landmarks.landmarks[0].patch)
-        for k in range(15)
-    )
-    landmark = replace(landmarks.landmarks[0], views=views)
-    shown = textures(landmark, np.array([3.0, 2.3, 1.15]))
-    assert sum(texture.share for texture in shown) == pytest.approx(1.0)
 
 
 def test_a_covered_landmark_is_refused():
@@ -378,26 +365,3 @@ def test_edges_alone_find_no_place_but_keep_one(learned):
         update = localizer.add_frame(frame)
         # Where the window is wide, another edge may be in it.
         assert bool(len(update.observation.detections)) is used
-
-
-@pytest.mark.parametrize('slope', [0.0, 0.07, -0.07])
-def test_matches_of_an_edge_err_across_as_their_covariance_states(slope):
-    down, across = np.mgrid[:46, :60].astype(np.float64)
-
-    def image(at):
-        distance = across - at - slope * (down - 22.5)
-        step = 90.0 + 70.0 / (1.0 + np.exp(-2.0 * distance))
-        return step + 25.0 * np.exp(-0.5 * ((distance - 5.0) / 1.5) ** 2)
-
-    squares = []
-    for seed in range(200):
-        rng = np.random.default_rng([seed, 5])
-        shift = rng.uniform(-1.5, 1.5)
-        template = image(29.5)[8:38, 15:45].astype(np.float32)
-        search = (image(29.5 + shift) + 15.0 * rng.standard_normal(down.shape)).astype(np.float32)
-        found = match_template(search, template, edge=True)
-        # Any point of the edge is as good as any other.
-        off = found.xy[0] - 29.5 - shift - slope * (found.xy[1] - 22.5)
-        squares.append(off**2 / ([1.0, -slope] @ found.covariance @ [1.0, -slope]))
-        assert found.covariance[1, 1] > 10.0
-    assert 0.7 < np.mean(squares) < 1.4

@@ -92,28 +92,6 @@ def test_messages_lose_nothing():
     assert (speeds.linear_m_s, speeds.angular_rad_s) == (0.3, -0.2)
 
 
-def test_a_wrong_start_teaches_nothing():
-    drive = simulated(4, seconds=20.0, prior=Calibration.of_mount(MOUNT))
-    fusion, right = fused(drive), fused(drive)
-    images = 0
-    for what in arriving(drive):
-        take(right, what)
-        take(fusion, what)
-        images += not isinstance(what, OdometrySample)
-        now = right.estimate()
-        if images == 40 and not isinstance(what, OdometrySample):
-            aside = np.array([0.8, 0.6, 0.0])
-            wrong = replace(now, pose=now.pose + aside, covariance=1e-4 * np.eye(3))
-            fusion.initialize(wrong)
-        if images > 40 and fusion.status_at()[0] is Status.LOST:
-            fusion.place(replace(now, covariance=1e-4 * np.eye(3)))
-    status, _ = fusion.status_at()
-    assert status is not Status.LOST
-    off = fusion.calibration.values - drive.true.values
-    assert (np.abs(off) < 5.0 * fusion.calibration.sigmas).all()
-    assert np.abs(error(fusion, drive)[:2]).max() < 0.03
-
-
 def test_what_a_map_was_learned_with_is_the_prior():
     drive = simulated(4, seconds=2.0, prior=Calibration.of_mount(MOUNT))
     found = Calibration(drive.prior.values + 1e-3, 1e-4 * drive.prior.covariance)

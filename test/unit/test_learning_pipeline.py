@@ -98,15 +98,6 @@ def test_panoramas_know_where_they_were_taken(panoramas):
         assert np.abs(error / np.sqrt(np.diag(panorama.covariance))).max() < 3.5
 
 
-def test_a_room_is_learned_from_two_sweeps(learned):
-    landmarks = learned.map.landmarks
-    assert len(landmarks) >= 20
-    assert len({k.wall_id for k in landmarks}) >= 3
-    assert [k.id for k in landmarks] == list(range(1, len(landmarks) + 1))
-    assert learned.map.walls == ROOM.walls
-    assert learned.reconstructed >= len(landmarks)
-
-
 def errors_of(learned):
     """Errors (n, 3) of landmarks, and covariances: what is truly seen at their candidates."""
     errors, covariances = [], []
@@ -163,9 +154,7 @@ def test_a_place_that_papers_contradict_is_refused():
     panorama_from_sweep(near, ROOM, MOUNT)
 
 
-@pytest.mark.parametrize(
-    ('rise_m', 'lean_deg'), [(0.04, (0.0, 0.0)), (-0.015, (0.4, 0.0)), (0.1, (-1.0, 2.5))]
-)
+@pytest.mark.parametrize(('rise_m', 'lean_deg'), [(-0.015, (0.4, 0.0)), (0.1, (-1.0, 2.5))])
 def test_height_and_tilt_by_the_papers_are_used(rise_m, lean_deg):
     """Panoramas are taken where they are, and say what the mount is, whatever was given."""
     x, y, z = MOUNT.axis_xyz
@@ -185,9 +174,9 @@ def test_height_and_tilt_by_the_papers_are_used(rise_m, lean_deg):
     assert abs(found.values[height].sum() - z - rise_m) < 3.5 * sigma
 
 
-@pytest.mark.parametrize('offset', [(0.08, -0.05), (0.14, 0.12)])
-def test_an_optical_centre_far_off_the_axis_is_calibrated(offset):
+def test_an_optical_centre_far_off_the_axis_is_calibrated():
     """The first sweep finds it, the second uses it; the prior gives it as 0 with 2 cm."""
+    offset = 0.14, 0.12
     true = replace(MOUNT, optical_center_offset=(*offset, 0.0))
     given = known = Calibration.of_mount(MOUNT)
     for pose in POSES:

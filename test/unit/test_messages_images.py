@@ -56,23 +56,17 @@ def test_every_encoding_becomes_bgr_or_grey(deliver):
         ('mono8', (4, 4), {'width': 0}),
         ('nv12', (3, 6), {'height': 3}),
         ('yuyv', (4, 5, 2), {}),
+        *((name, (4, 4), {}) for name in ('32FC1', 'bayer_rggb12', 'h264', 'x' * 1000)),
     ],
 )
-def test_sizes_that_cannot_be_are_refused(encoding, shape, change):
+def test_sizes_that_cannot_be_and_unknown_encodings_are_refused(encoding, shape, change):
     msg = raw(np.zeros(shape, np.uint8), encoding)
     for name, value in change.items():
         setattr(msg, name, value)
-    with pytest.raises(LandmarkNavError, match='broken'):
+    words = 'broken' if change or encoding == 'yuyv' else encoding[:10]
+    with pytest.raises(LandmarkNavError, match=words) as reported:
         decode.image(msg)
-
-
-@both
-def test_jpeg_and_png_decode(deliver):
-    ramp = np.tile(np.arange(0, 250, 5, dtype=np.uint8), (40, 1))
-    jpeg = encode.compressed_image(FACTORY, ramp, STAMP, 'cam', jpeg_quality=95)
-    assert np.abs(decode.image(deliver(jpeg)).astype(int) - ramp).max() < 8
-    jpeg.format, jpeg.data = 'bgr8; png compressed bgr8', cv2.imencode('.png', ramp)[1].reshape(-1)
-    np.testing.assert_array_equal(decode.image(deliver(jpeg)), ramp)
+    assert len(str(reported.value)) < 200
 
 
 def test_damaged_and_foreign_compressed_images_are_refused():
@@ -228,13 +222,6 @@ def test_a_header_of_absurd_size_is_refused_before_memory_is_taken():
         assert tracemalloc.get_traced_memory()[1] < 10e6
     finally:
         tracemalloc.stop()
-
-
-def test_unknown_encodings_are_refused_by_name():
-    for name in ('32FC1', 'bayer_rggb12', 'h264', 'x' * 1000):
-        with pytest.raises(LandmarkNavError, match=f'{name[:10]}') as reported:
-            decode.image(raw(np.zeros((4, 4), np.uint8), name))
-        assert len(str(reported.value)) < 200
 
 
 @both

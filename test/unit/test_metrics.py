@@ -10,9 +10,7 @@ from landmark_nav.evaluation.learning_report import learning_report
 from landmark_nav.evaluation.metrics import (
     consistency,
     crlb_ratio,
-    error_summary,
     nees_interval_95,
-    pose_errors,
     PoseTrack,
     posterior_bound,
     undetected_failures,
@@ -58,28 +56,6 @@ def test_interpolation_follows_the_arc_of_a_constant_twist(start, forward, turn,
 
 
 # Figures of errors
-
-
-def test_errors_are_absolute_wrapped_and_summarised():
-    errors = pose_errors([[1.0, 2.0, 3.1], [np.nan] * 3], [[0.5, 2.5, -3.1], [0, 0, 0]])
-    np.testing.assert_allclose(errors[0], [0.5, -0.5, 6.2 - 2 * np.pi])
-    assert np.isnan(errors[1]).all()
-    errors = np.zeros((101, 3))
-    errors[:, 0] = np.arange(101) * 0.01
-    errors[:, 2] = np.radians(2.0)
-    errors[0] = np.nan
-    summary = error_summary(errors)
-    assert summary == pytest.approx(
-        {
-            'position_rmse_m': np.sqrt(np.mean(errors[1:, 0] ** 2)),
-            'position_median_m': 0.505,
-            'position_p95_m': 0.9505,
-            'position_max_m': 1.0,
-            'heading_rmse_deg': 2.0,
-            'heading_p95_deg': 2.0,
-        }
-    )
-    assert error_summary(np.full((4, 3), np.nan)) == dict.fromkeys(summary)
 
 
 def test_undetected_failures_are_counted():

@@ -21,7 +21,7 @@ from landmark_nav.localization.odometry.track import Distrusted, OdometryTrack
 from landmark_nav.types import Detections, OdometrySample
 
 CONFIG = OdometryNoiseConfig()
-SPEED, RATE = 0.4, 0.9
+SPEED, RATE, HERTZ = 0.4, 0.9, 50.0
 
 
 def sample(seconds, pose=None):
@@ -54,71 +54,63 @@ def test_wheels_slip_aside_in_turns_only(forward, turn):
     assert half == pytest.approx(variance, abs=1e-9)
 
 
-def variances_of_steps(offset, speeds=lambda k: (SPEED, RATE), hertz=50):
-    """Sums of the variances by steps in 4 s on the circle, with poses off by `offset(k)`."""
+def turning(k):
+    return twist_motion(SPEED, RATE, k / HERTZ)
+
+
+def straight(k):
+    return twist_motion(SPEED, 0.0, k / HERTZ)
+
+
+def moved(pose, speeds=lambda k: (SPEED, RATE), late=lambda k: 0.0, count=200):
+    """Motion over samples `k` with their poses, speeds and delays of stamps, in periods."""
     track = OdometryTrack(CONFIG)
-    for k in range(4 * hertz + 1):
-        pose = twist_motion(SPEED, RATE, k / hertz) + offset(k)
-        track.add(OdometrySample(round(1e9 * k / hertz), pose, *speeds(k)))
-    motion = track.motion(0, 4 * 10**9)
-    return motion.steps_m2, motion.steps_rad2
+    for k in range(count + 1):
+        track.add(OdometrySample(round(1e9 * (k + late(k)) / HERTZ), pose(k), *speeds(k)))
+    return track.motion(0, round(1e9 * (count - 5) / HERTZ))
 
 
 class TestSteps:
     @pytest.mark.parametrize('speeds', [lambda k: (SPEED, RATE), lambda k: (0.0, 0.0)])
     def test_poses_that_step_are_uncertain_by_the_steps(self, speeds):
-        aside, turned = variances_of_steps(
-            lambda k: np.array([0.02, 0.0, 0.03]) * (k // 50), speeds
+        motion = moved(
+            lambda k: turning(k) + np.array([0.02, 0.0, 0.03]) * (k // 50), speeds, count=205
         )
-        assert aside == pytest.approx(4 * 0.02**2, rel=0.2)
-        assert turned == pytest.approx(4 * 0.03**2, rel=0.2)
+        assert motion.steps_m2 == pytest.approx(4 * 0.02**2, rel=0.2)
+        assert motion.steps_rad2 == pytest.approx(4 * 0.03**2, rel=0.2)
 
     def test_jitter_is_no_step(self):
         noise = np.random.default_rng(3).normal(0.0, [0.01, 0.01, 0.005], (201, 3))
-        aside, turned = variances_of_steps(lambda k: noise[k])
-        assert aside < 0.01**2
-        assert turned < 0.005**2
+        motion = moved(lambda k: turning(k) + noise[k])
+        assert motion.steps_m2 < 0.01**2
+        assert motion.steps_rad2 < 0.005**2
 
     def test_speeds_of_another_scale_are_no_steps(self):
-        assert variances_of_steps(lambda k: np.zeros(3), lambda k: (0.7 * SPEED, 0.7 * RATE)) == (
-            0.0,
-            0.0,
-        )
+        motion = moved(turning, lambda k: (0.7 * SPEED, 0.7 * RATE))
+        assert (motion.steps_m2, motion.steps_rad2) == (0.0, 0.0)
 
     def test_coarse_encoders_and_late_stamps_are_no_steps(self):
-        rng = np.random.default_rng(5)
-        coarse, late = OdometryTrack(CONFIG), OdometryTrack(CONFIG)
-        for k in range(200):
-            pose = twist_motion(SPEED, 0.0, k / 50.0)
-            held = np.floor(pose / 0.03) * 0.03
-            coarse.add(OdometrySample(round(1e9 * k / 50.0), held, SPEED, 0.0))
-            stamp = round(1e9 * (k + 0.8 * (rng.random() < 0.1)) / 50.0)
-            late.add(OdometrySample(stamp, pose, SPEED, 0.0))
-        for track in (coarse, late):
-            motion = track.motion(0, 39 * 10**8)
+        late = 0.8 * (np.random.default_rng(5).random(201) < 0.1)
+        ahead = lambda k: (SPEED, 0.0)  # noqa: E731
+        for motion in (
+            moved(lambda k: np.floor(straight(k) / 0.03) * 0.03, ahead),
+            moved(straight, ahead, lambda k: late[k]),
+        ):
             assert motion.steps_m2 < motion_variances(motion._replace(steps_m2=0.0), CONFIG)[0]
 
     def test_absurd_speeds_do_not_spoil_the_motion(self):
-        track = OdometryTrack(CONFIG)
-        for k in range(100):
-            speed = 1e200 if k in (50, 51) else SPEED
-            pose = twist_motion(SPEED, 0.0, k / 50.0)
-            track.add(OdometrySample(round(1e9 * k / 50.0), pose, speed, 0.0))
-        motion = track.motion(0, 19 * 10**8)
+        motion = moved(straight, lambda k: (1e200 if k in (50, 51) else SPEED, 0.0), count=100)
         assert np.isfinite([motion.steps_m2, motion.steps_rad2]).all()
         assert motion.steps_m2 < 0.3**2
 
     def test_filtered_speeds_hardly_count(self):
-        # A robot that starts, and a driver that reports the speeds of 0.1 s before.
-        track, way = (
-            OdometryTrack(CONFIG),
-            lambda t: 0.25 * min(t, 1.0) ** 2 + 0.5 * max(t - 1.0, 0.0),
-        )
-        for t in np.arange(100) * 0.02:
-            pose = twist_motion(way(t), way(t), 1.0)
-            speed = 0.5 * np.clip(t - 0.1, 0.0, 1.0)
-            track.add(OdometrySample(round(1e9 * t), pose, speed, speed))
-        motion = track.motion(0, 19 * 10**8)
+        """Of a robot that starts, by a driver that reports the speeds of 0.1 s before."""
+
+        def pose(k):
+            way = 0.25 * min(k / HERTZ, 1.0) ** 2 + 0.5 * max(k / HERTZ - 1.0, 0.0)
+            return twist_motion(way, way, 1.0)
+
+        motion = moved(pose, lambda k: (0.5 * np.clip(k / HERTZ - 0.1, 0.0, 1.0),) * 2, count=100)
         assert motion.steps_m2 < 0.1 * motion_variances(motion, CONFIG)[0]
         assert motion.steps_rad2 < 0.1 * motion_variances(motion, CONFIG)[2]
 

@@ -3,7 +3,7 @@
 from dataclasses import replace
 from itertools import combinations
 
-from builders import panorama_of, walls_of
+from builders import panorama_of
 import numpy as np
 import pytest
 from scenes import rectangle_room
@@ -13,7 +13,7 @@ from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.cylinder import Cylinder
-from landmark_nav.geometry.walls import Marker, Paper, Room
+from landmark_nav.geometry.walls import Marker, Paper
 from landmark_nav.learning.adjustment.problem import AdjustmentConfig
 from landmark_nav.learning.adjustment.solution import adjust
 from landmark_nav.learning.reference_area.common_errors import (
@@ -25,7 +25,7 @@ from landmark_nav.learning.reference_area.model import MEASURED
 from landmark_nav.learning.stereo.wall_patch import PatchMeasurement
 from landmark_nav.planning.planner import exchange, forecast, plan_positions
 from landmark_nav.planning.prediction import landmark_errors
-from landmark_nav.planning.views import ahead_rad, free_floor, is_free, PlanConfig
+from landmark_nav.planning.views import ahead_rad, is_free, PlanConfig
 
 MOUNT = PanTiltMount((0.08, 0.0, 1.1))
 # Coarser than by default: quicker.
@@ -35,7 +35,6 @@ PAPERS = tuple(
     for color, x in (('red', 1.6), ('green', 2.7), ('blue', 3.9))
 )
 ROOM = rectangle_room(5.0, 4.0, PAPERS)
-L_SHAPED = Room(walls_of([(0, 0), (6, 0), (6, 2), (3, 2), (3, 5), (0, 5)]), PAPERS)
 
 HIGH = tuple(replace(paper, center=(*paper.center[:2], 3.3)) for paper in PAPERS)
 
@@ -47,17 +46,6 @@ def silent(items, _what, _total):
 @pytest.fixture(scope='module')
 def plan():
     return plan_positions(ROOM, MOUNT, 2, CONFIG, np.random.default_rng(1))
-
-
-class TestRoomGrid:
-    def test_floor_keeps_off_the_walls(self):
-        floor = free_floor(L_SHAPED, 0.5, 0.25, 10000)
-        assert L_SHAPED.contains(floor).all()
-        # The inner corner at (3, 2) is round for whoever keeps off it.
-        assert np.linalg.norm(floor - [3.0, 2.0], axis=1).min() >= 0.5 - 1e-9
-        for edge in (floor[:, 0], floor[:, 1], 6.0 - floor[:, 0], 5.0 - floor[:, 1]):
-            assert edge.min() == pytest.approx(0.5)
-        assert not np.any((floor[:, 0] > 2.51) & (floor[:, 1] > 1.51))
 
 
 class TestSearch:

@@ -287,13 +287,6 @@ def interrupted(number):
         pytest.fail('it was not raised')
 
 
-def interrupted_at_its_end(then=None):
-    with Interruption():
-        os.kill(os.getpid(), signal.SIGTERM)
-        if then is not None:
-            raise then
-
-
 @pytest.mark.parametrize('number', SIGNALS)
 def test_a_signal_in_a_destructor_is_not_lost(number):
     handlers = [signal.getsignal(each) for each in SIGNALS]
@@ -303,11 +296,15 @@ def test_a_signal_in_a_destructor_is_not_lost(number):
     assert [signal.getsignal(each) for each in SIGNALS] == handlers
 
 
-def test_a_pending_signal_is_raised_at_the_end():
-    with pytest.raises(KeyboardInterrupt):
-        interrupted_at_its_end()
+@pytest.mark.parametrize(
+    ('then', 'raised'), [(None, KeyboardInterrupt), (ZeroDivisionError, ZeroDivisionError)]
+)
+def test_a_pending_signal_is_raised_at_the_end_and_hides_no_error(then, raised):
+    def end():
+        with Interruption():
+            os.kill(os.getpid(), signal.SIGTERM)
+            if then is not None:
+                raise then
 
-
-def test_an_error_is_not_hidden_by_a_signal():
-    with pytest.raises(ZeroDivisionError):
-        interrupted_at_its_end(ZeroDivisionError)
+    with pytest.raises(raised):
+        end()

@@ -136,13 +136,12 @@ def test_a_room_that_looks_the_same_turned_by_half_is_not_unique():
     )
 
 
-@pytest.mark.parametrize('walls', [0, 1])
-def test_another_room_is_not_recognised_nor_with_a_known_wall_in_it(walls):
+def test_another_room_is_not_recognised_though_a_known_wall_is_in_it():
     other = textured_room(ROOM, seed=11, feature_m=0.045)
-    stolen = Scene((*SCENE.boards[:walls], *other.boards[walls:]))
+    stolen = Scene((SCENE.boards[0], *other.boards[1:]))
     # It comes into view last.
     found = located_at_rest(sweep(stolen, (2.4, 1.9, 0.4), np.roll(PANS, -4)))
-    assert_refused(found, 'nothing recognised', 'of' if walls else '')
+    assert_refused(found, 'nothing recognised', 'of')
 
 
 def test_a_hand_in_front_of_the_lens_shows_nothing_and_what_comes_after_it_is_searched():
@@ -187,21 +186,6 @@ def test_no_single_landmark_decides(max_sigma_m, found):
         assert_right(outcome, pose)
     else:
         assert_refused(outcome, 'too little seen', f'landmark {lone} decides')
-
-
-@pytest.mark.parametrize(
-    ('tilt_rad', 'roll_rad'), [(0.035, 0.0), (-0.035, 0.0), (0.0, 0.035), (0.015, -0.02)]
-)
-def test_a_camera_that_was_displaced_finds_its_place(tilt_rad, roll_rad):
-    pose = (2.4, 1.9, 0.4)
-    # The joints, as drawn, are those of a camera that looks higher than they say.
-    displaced = [
-        replace(k, tilt_rad=k.tilt_rad - tilt_rad, roll_rad=k.roll_rad - roll_rad)
-        for k in sweep(SCENE, pose)
-    ]
-    assert_right(located_at_rest(displaced), pose)
-    if abs(tilt_rad) > 0.03:
-        assert isinstance(located_at_rest(displaced, tilt_sigma_rad=0.0), Refusal)
 
 
 OTHER = textured_room(ROOM, seed=23, feature_m=0.045)

@@ -2,7 +2,6 @@
 
 from dataclasses import replace
 
-from builders import patch_points
 import numpy as np
 import pytest
 from scenes import (
@@ -28,11 +27,10 @@ from landmark_nav.learning.stereo.wall_patch import (
     PatchMeasurement,
     StereoConfig,
     Ties,
-    wall_texture,
     WallPatch,
 )
 from landmark_nav.learning.stereo.wall_stereo import hypothesize, match_in
-from landmark_nav.types import Candidate, Refusal
+from landmark_nav.types import Refusal
 
 ROOM = rectangle_room(6.0, 5.0)
 CONFIG = StereoConfig()
@@ -60,11 +58,6 @@ def match_at(panoramas, point, config=CONFIG):
     return patch, match_in(patch, 1, panoramas, ROOM, config)
 
 
-def plane_at(point, shape):
-    normal = ROOM.normals[EAST]
-    return WallPatch(Candidate(0.0, 0.0, 32, 32, 1.0), 0, EAST, point, normal, shape, 0.014)
-
-
 def direction_to(panorama, point):
     """Azimuth in the base frame, and tangent, of a point."""
     d = point - panorama.center_map
@@ -82,22 +75,6 @@ def panoramas(scene):
 
 
 @pytest.mark.parametrize(
-    ('point', 'wall'),
-    [((6.0, 2.5, 1.2), 1), ((3.0, 5.0, 1.0), 2), ((0.0, 1.5, 0.9), 3), ((2.5, 0.0, 1.3), 0)],
-)
-def test_a_candidate_lies_where_its_ray_meets_the_wall(panoramas, point, wall):
-    patch = patch_at(panoramas[0], np.array(point))
-    assert patch.wall == wall
-    np.testing.assert_allclose(patch.normal, ROOM.normals[wall])
-    # Within half a pixel, which is 1 to 2 cm here.
-    np.testing.assert_allclose(patch.position, point, atol=0.02)
-    seen = own_measurement(patch, panoramas[0])
-    expected = direction_to(panoramas[0], patch.position)
-    expected[0] += 2.0 * np.pi * np.round((seen.azimuth_rad - expected[0]) / (2.0 * np.pi))
-    np.testing.assert_allclose([seen.azimuth_rad, seen.tangent], expected, atol=1e-9)
-
-
-@pytest.mark.parametrize(
     ('point', 'reason'),
     [
         ((6.0, 2.5, 0.0), 'floor or ceiling'),
@@ -108,17 +85,6 @@ def test_a_candidate_lies_where_its_ray_meets_the_wall(panoramas, point, wall):
 def test_what_is_no_patch_of_wall_is_refused(panoramas, point, reason):
     found = patch_at(panoramas[0], np.array(point))
     assert reason in found.reason
-
-
-def test_a_wall_looks_the_same_from_both_places(panoramas, scene):
-    point, normal = np.array([6.0, 2.4, 1.15]), ROOM.normals[EAST]
-    first, second = (wall_texture(plane_at(point, (40, 60)), view) for view in panoramas)
-    points = patch_points(point, normal, (40, 60), 0.014)
-    truth, _ = scene.look(points + 0.1 * normal, np.broadcast_to(-normal, points.shape))
-    for texture in (first, second):
-        assert np.abs(texture - truth[..., 0]).mean() < 4.0
-    uncovered = replace(panoramas[0], mask=np.zeros_like(panoramas[0].mask))
-    assert wall_texture(plane_at(point, (40, 60)), uncovered) is None
 
 
 def measurements_and_errors(panoramas):
