@@ -7,12 +7,12 @@ compared by the Bayesian information criterion (Schwarz, Annals of Statistics 6(
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize, minimize_scalar
+from scipy.optimize import minimize
 
 from landmark_nav.arrays import FloatArray
 from landmark_nav.diagnosis.motion import (
@@ -25,14 +25,12 @@ from landmark_nav.diagnosis.motion import (
     Fit,
     fit,
     FREEDOM,
-    IMAGES,
-    JOINTS,
     linear,
     Motion,
     MOUNT,
-    ODOMETRY,
     Track,
 )
+from landmark_nav.diagnosis.streams import IMAGES, JOINTS, ODOMETRY
 
 # Scales that are tried: reversed sign, gears, degrees, no motion.
 _SCALES = (-1.0, 0.5, 2.0, -0.5, -2.0, np.pi / 180.0, -np.pi / 180.0, 180.0 / np.pi, 0.0)
@@ -54,12 +52,9 @@ _ODOMETRY_S = 0.01
 _POLISH_S = 0.02
 # Least share of the image pairs at whose times the other streams have messages.
 _LEAST_COVERED = 0.3
-# Searches of each of two clocks, in turn.
-_TURNS = 3
 # Number of image pairs in the coarse search, and their noise.
 _PAIRS = 160
 _FIRST_NOISE_RAD = 0.01
-
 # Sigma of the angle between path and heading, and time of a step.
 _ALONG_RAD, _STEP_S = 0.1, 0.2
 # Prior sigmas of the pan axis from the base, and of the optical centre from the pan axis.
@@ -100,8 +95,7 @@ class Cause:
         if self.kind not in ('clock', 'clocks'):
             return {}
         late_s = {self.stream: self.value}
-        if self.kind == 'clocks':
-            late_s[JOINTS] = self.offset_s
+        late_s |= {JOINTS: self.offset_s} if self.kind == 'clocks' else {}
         found = linear(self.motion)
         known = {ODOMETRY: found.odometry_clock_s}
         return {
@@ -128,7 +122,7 @@ def verdict(
     motion: Motion,
     joints: Mapping[str, Track] | None = None,
     by_twist: Track | None = None,
-    clocks: Mapping[str, Iterable[Clock]] | None = None,
+    clocks: Mapping[str, Sequence[Clock]] | None = None,
 ) -> Verdict:
     """
     Find the likeliest single fault.
@@ -143,9 +137,7 @@ def verdict(
         found.append(_cause(JOINTS, 'joint', replace(motion, pan=track), 1, name=name))
     if by_twist is not None:
         found.append(_cause(ODOMETRY, 'twist', replace(motion, odometry=by_twist), 1))
-    found += _others(motion)
-    found += _scales(motion)
-    found += _clocks(motion, clocks or {})
+    found += [*_others(motion), *_scales(motion), *_clocks(motion, clocks or {})]
     best = max(found, key=lambda cause: cause.score)
     if best.score < none.score + CERTAIN or not linear(best.motion).quiet:
         best = none
@@ -183,11 +175,11 @@ def _with_odometry(cause: Cause, most: float) -> float:
     return max(cause.score, better - 0.5 * off**2 / (sigma**2 + _ODOMETRY_S**2))
 
 
-def late_odometry(motion: Motion, hints: Iterable[Clock]) -> float:
+def late_odometry(motion: Motion, hints: Sequence[Clock]) -> float:
     """Delay of the stamps of odometry, s: another than given only if it is certain."""
-    now = _clock_cause(motion, ODOMETRY, 'clock', motion.odometry_clock)
-    found = _polished(_offset(motion, ODOMETRY, _first_offset(motion, ODOMETRY, list(hints))))
-    return found.value if found.score > now.score + CERTAIN else now.value
+    now, now_s = _cause(ODOMETRY, 'none', motion, 1), motion.odometry_clock.offset_s
+    found = _polished(_offset(motion, ODOMETRY, _best_offset(motion, ODOMETRY, hints)))
+    return found.value if found.score > now.score + CERTAIN else now_s
 
 
 def _polished(cause: Cause) -> Cause:
@@ -204,8 +196,7 @@ def _polished(cause: Cause) -> Cause:
         if cause.kind == 'clocks':
             cause = _two_clocks(motion, pan, odometry)
         else:
-            clock = odometry if cause.stream == ODOMETRY else pan
-            cause = _clock_cause(motion, cause.stream, 'clock', clock)
+            cause = _clocked(motion, cause.stream, odometry if cause.stream == ODOMETRY else pan)
     return cause
 
 
@@ -235,15 +226,13 @@ def _along(motion: Motion) -> float:
     return -0.5 * (FREEDOM + 1.0) * float(np.sum(np.log1p((off / _ALONG_RAD) ** 2 / FREEDOM)))
 
 
-def _likeliest(make: Callable[[float], Cause], first: float, reach: float) -> Cause:
-    """Find the cause with the likeliest value within `reach` of `first`."""
-
-    def badness(value: float) -> float:
-        return -make(float(value)).score
-
-    bounds = first - reach, first + reach
-    found = minimize_scalar(badness, bounds=bounds, method='bounded', options={'xatol': 1e-4})
-    return make(float(found.x))
+def _likeliest(make: Callable[..., Cause], first: Sequence[float], *steps: float) -> Cause:
+    """Find the cause with the likeliest values near the first ones."""
+    start = np.array(first)
+    simplex = start + np.vstack([np.zeros(len(start)), np.diag(steps)])
+    enough = {'initial_simplex': simplex, 'xatol': 1e-4, 'fatol': 1e-2, 'maxfev': 120}
+    best = minimize(lambda x: -make(*x).score, start, method='Nelder-Mead', options=enough)
+    return make(*best.x.tolist())
 
 
 def _others(motion: Motion) -> Iterator[Cause]:
@@ -265,106 +254,98 @@ def _others(motion: Motion) -> Iterator[Cause]:
     def again(**change: float) -> Motion:
         return replace(motion, odometry=driven_again(odometry, **change))
 
+    def tried(stream: str, kind: str, reach: float, change: Callable[[float], Motion]) -> Cause:
+        def make(value: float) -> Cause:
+            return _cause(stream, kind, change(float(value)), 1, float(value))
+
+        first = max(map(make, reach * _GRID), key=lambda cause: cause.score)
+        return _likeliest(make, [first.value], 0.05 * reach)
+
     # The pan before a filter of the first order.
-    def unfiltered(value: float) -> Motion:
-        return replace(motion, pan=replace(pan, values=pan.values + value * rate))
-
-    yield _best(JOINTS, 'filter', unfiltered, 1.0)
-    yield _best(ODOMETRY, 'bias', lambda value: again(bias_rad_s=value), 1.0)
-    yield _best(ODOMETRY, 'curve', lambda value: again(curve_rad_m=value), 3.0)
-    yield _best(MOUNT, 'ahead', lambda value: replace(motion, axis_xy=(x + value, y)), 2.0)
-    yield _best(MOUNT, 'left', lambda value: replace(motion, axis_xy=(x, y + value)), 2.0)
-    yield _best(MOUNT, 'offset', lambda v: replace(motion, offset_xy=(ahead + v, left)), 1.0)
-
-
-def _best(stream: str, kind: str, change: Callable[[float], Motion], reach: float) -> Cause:
-    """Find the likeliest value of an error of a single number within +-`reach`."""
-
-    def make(value: float) -> Cause:
-        return _cause(stream, kind, change(value), 1, value)
-
-    grid = reach * _GRID
-    first = max((make(value) for value in grid.tolist()), key=lambda cause: cause.score)
-    return _likeliest(make, first.value, float(grid[1] - grid[0]))
+    filtered = 1.0, lambda v: replace(motion, pan=replace(pan, values=pan.values + v * rate))
+    yield tried(JOINTS, 'filter', *filtered)
+    yield tried(ODOMETRY, 'bias', 1.0, lambda v: again(bias_rad_s=v))
+    yield tried(ODOMETRY, 'curve', 3.0, lambda v: again(curve_rad_m=v))
+    yield tried(MOUNT, 'ahead', 2.0, lambda v: replace(motion, axis_xy=(x + v, y)))
+    yield tried(MOUNT, 'left', 2.0, lambda v: replace(motion, axis_xy=(x, y + v)))
+    yield tried(MOUNT, 'offset', 1.0, lambda v: replace(motion, offset_xy=(ahead + v, left)))
 
 
 def _scales(motion: Motion) -> Iterator[Cause]:
     """Yield wrong scales and signs of pan, of yaw, and of both, which is that of the lens."""
     panned, yawed, turns = motion.panned(), motion.yawed(), motion.turns_rad
+    odometry, parallax = motion.odometry, motion.parallax()
     for stream, factor, rest in (
-        (JOINTS, panned, yawed),
-        (ODOMETRY, yawed, panned),
-        (IMAGES, panned + yawed, np.zeros_like(turns)),
+        (JOINTS, panned, turns - yawed),
+        (ODOMETRY, yawed, turns - panned),
+        (IMAGES, panned + yawed, turns),
     ):
-        if np.abs(factor).max(initial=0.0) < 1e-6:
+        # Without odometry, the scale of the lens is that of the pan.
+        if np.abs(factor).max(initial=0.0) < 1e-6 or (odometry is None and stream != JOINTS):
             continue
-        if stream == IMAGES and motion.odometry is None:
-            continue  # the same as the scale of the pan
-        least = float((factor @ (turns - rest)) / (factor @ factor))
+        least = float((factor @ rest) / (factor @ factor))
         # Very different units, such as ticks, show only in the magnitudes.
-        ratio = float(np.median(np.abs(turns - rest)) / max(np.median(np.abs(factor)), 1e-12))
+        ratio = float(np.median(np.abs(rest)) / max(np.median(np.abs(factor)), 1e-12))
         tried = np.array([*_SCALES, least, ratio, -ratio])
-        left = (turns - rest - tried[:, None] * factor) / _FIRST_NOISE_RAD
+        left = (rest - tried[:, None] * factor) / _FIRST_NOISE_RAD
         scale = float(tried[np.argmin(np.log1p(left**2).sum(1))])
-        parallax = motion.parallax()
         for _ in range(3):
-            near = fit(turns - rest - scale * factor, np.column_stack([factor, parallax]))
+            near = fit(rest - scale * factor, np.column_stack([factor, parallax]))
             scale += float(near.values[0])
-        if stream == IMAGES:
-            # Another lens, or a mirror image; larger factors are not from the camera.
-            if 1.0 / _LENS < abs(scale) < _LENS:
-                cause = _cause(stream, 'scale', replace(motion, turns_rad=turns / scale), 1, scale)
-                # The likelihood refers to the measured turns, as for all others.
-                yield replace(cause, score=cause.score - len(motion) * float(np.log(abs(scale))))
-        elif stream == JOINTS:
-            changed = replace(motion, pan_scale=motion.pan_scale * scale)
-            yield _cause(stream, 'scale', changed, 1, scale)
-        elif motion.odometry is not None:
-            changed = replace(motion, yaw_scale=motion.yaw_scale * scale)
-            yield _cause(stream, 'scale', changed, 1, scale)
+        if stream == JOINTS:
+            yield _cause(stream, 'scale', replace(motion, pan_scale=scale), 1, scale)
+        elif stream == ODOMETRY and odometry is not None:
+            yield _cause(stream, 'scale', replace(motion, yaw_scale=scale), 1, scale)
             # The path may have been integrated with the wrong yaw.
             for value in (scale, float(np.sign(scale))):
-                track = driven_again(motion.odometry, yaw_scale=value)
+                track = driven_again(odometry, yaw_scale=value)
                 yield _cause(stream, 'scale', replace(motion, odometry=track), 1, value)
+        elif 1.0 / _LENS < abs(scale) < _LENS:
+            # Another lens, or a mirror image; larger factors are not from the camera.
+            cause = _cause(stream, 'scale', replace(motion, turns_rad=turns / scale), 1, scale)
+            # The likelihood refers to the measured turns, as for all others.
+            yield replace(cause, score=cause.score - len(motion) * float(np.log(abs(scale))))
 
 
-def _clocks(motion: Motion, hints: Mapping[str, Iterable[Clock]]) -> Iterator[Cause]:
-    few = motion
-    of_joints: list[Clock] = []
-    if len(motion) > _PAIRS:
-        chosen = np.zeros(len(motion), dtype=np.bool_)
-        chosen[np.linspace(0, len(motion) - 1, _PAIRS).astype(np.intp)] = True
-        few = motion.only(chosen)
+def _clocks(motion: Motion, hints: Mapping[str, Sequence[Clock]]) -> Iterator[Cause]:
+    few = motion.only(np.linspace(0, len(motion) - 1, min(_PAIRS, len(motion))).astype(np.intp))
+    begin, middle = float(motion.before_s.min()), float(np.mean(motion.before_s))
+    span = max(float(np.ptp(motion.before_s)), 1.0)
     for stream in (JOINTS, ODOMETRY, IMAGES):
         if motion.odometry is None and stream != JOINTS:
             continue
-        hinted = list(hints.get(stream, ()))
-        for found in (
-            _offset(motion, stream, _first_offset(few, stream, hinted)),
-            _drift(motion, stream, _first_drift(few, stream, hinted)),
-        ):
+        hinted = hints.get(stream, ())
+        offset = _offset(motion, stream, _best_offset(few, stream, hinted))
+        drifting = [h for h in hinted if h.drift] + [Clock(0.0, d, begin) for d in _DRIFTS]
+        starts = {h.offset_s for h in hinted}
+        grid = [replace(k, offset_s=s) for k in drifting for s in {k.offset_s, *starts}]
+        first = _best_of(few, stream, [(clock, _NEAR[::7]) for clock in grid])
+
+        def drifted(offset_s: float, drift: float, of: str = stream, at: Clock = first) -> Cause:
+            return _clocked(motion, of, replace(at, offset_s=offset_s, drift=drift))
+
+        drift = _likeliest(drifted, [first.offset_s, first.drift], 0.1, 0.1 / span)
+        if abs(drift.value) * span < _LEAST_DRIFT_S:
+            _, clock = drift.motion.stream(ODOMETRY if stream == ODOMETRY else JOINTS)
+            drift = _offset(motion, stream, Clock(float(clock.at(np.array(middle))) - middle))
+        for found in (offset, drift):
             # Implausible: the clock hardly runs, or other streams have no messages at these times.
             streams = (JOINTS, ODOMETRY)
             runs = all(found.motion.stream(name)[1].drift > _SLOWEST for name in streams)
             if runs and min(map(found.motion.covered, streams)) > _LEAST_COVERED:
                 yield found
-                if (found.stream, found.kind) == (JOINTS, 'clock'):
-                    of_joints.append(found.motion.pan_clock)
+                if found.kind == 'clock' and stream == JOINTS and motion.odometry is not None:
+                    # Joints are often a little late; that must not hide a fault of odometry.
+                    yield _both(motion, few, found.motion.pan_clock, hints.get(ODOMETRY, ()))
         yield _step(motion, stream)
-    # Joints are often a little late; that must not hide, or look like, a fault of odometry.
-    for pan in of_joints if motion.odometry is not None else ():
-        yield _both(motion, few, pan, list(hints.get(ODOMETRY, ())))
 
 
-def _both(motion: Motion, few: Motion, pan: Clock, hinted: list[Clock]) -> Cause:
-    """Find the likeliest clocks of joints and odometry, one in turn given the other."""
-    odometry = _first_offset(replace(few, pan_clock=pan), ODOMETRY, hinted)
-    for _ in range(_TURNS):
-        given = replace(motion, pan_clock=pan)
-        odometry = _offset(given, ODOMETRY, odometry).motion.odometry_clock
-        given = replace(motion, odometry_clock=odometry)
-        pan = _offset(given, JOINTS, pan).motion.pan_clock
-    return _two_clocks(motion, pan, odometry)
+def _both(motion: Motion, few: Motion, pan: Clock, hinted: Sequence[Clock]) -> Cause:
+    """Find the likeliest clocks of joints and odometry, from the one of the joints."""
+    odometry = _best_offset(replace(few, pan_clock=pan), ODOMETRY, hinted)
+    return _likeliest(
+        lambda a, b: _two_clocks(motion, pan.later(a), odometry.later(b)), [0.0, 0.0], 0.05, 0.05
+    )
 
 
 def _two_clocks(motion: Motion, pan: Clock, odometry: Clock) -> Cause:
@@ -373,16 +354,17 @@ def _two_clocks(motion: Motion, pan: Clock, odometry: Clock) -> Cause:
     return _cause(ODOMETRY, 'clocks', changed, 2, value, offset_s=offset_s)
 
 
-def _clock_cause(motion: Motion, stream: str, kind: str, clock: Clock) -> Cause:
+def _clocked(motion: Motion, stream: str, clock: Clock) -> Cause:
     """Return the cause that a stream has a clock; late images are the others that are early."""
     sign = -1.0 if stream == IMAGES else 1.0
-    value, offset_s = {
-        'clock': (clock.offset_s, sign * clock.offset_s),
-        'drift': (clock.drift, sign * clock.offset_s),
-        'step': (clock.step_s, clock.step_at_s),
-    }[kind]
-    changed, parameters = _with_clock(motion, stream, clock), 1 if kind == 'clock' else 2
-    return _cause(stream, kind, changed, parameters, sign * value, offset_s=offset_s)
+    changed = _with_clock(motion, stream, clock)
+    if clock.step_s:
+        value = sign * clock.step_s
+        return _cause(stream, 'step', changed, 2, value, offset_s=clock.step_at_s)
+    offset_s = sign * clock.offset_s
+    if clock.drift:
+        return _cause(stream, 'drift', changed, 2, sign * clock.drift, offset_s=offset_s)
+    return _cause(stream, 'clock', changed, 1, offset_s, offset_s=offset_s)
 
 
 def _with_clock(motion: Motion, stream: str, clock: Clock) -> Motion:
@@ -397,29 +379,16 @@ def _misfit(motion: Motion, stream: str, clocks: Clock) -> FloatArray:
     return np.asarray(np.log1p((left / _FIRST_NOISE_RAD) ** 2))
 
 
-def _first_offset(motion: Motion, stream: str, hinted: list[Clock]) -> Clock:
+def _best_offset(motion: Motion, stream: str, hinted: Sequence[Clock]) -> Clock:
     """Return the best offset of a coarse search around the hints and around no offset."""
     reach = min(float(motion.after_s.max() - motion.before_s.min()), _FAR_S)
     far = np.arange(-reach, reach, _FAR_STEP_S)
-    grids = [(Clock(h.offset_s), _NEAR) for h in hinted] + [(Clock(), _NEAR), (Clock(), far)]
-    if hinted:
-        grids.append((Clock(hinted[0].offset_s), far))
-    return _best_offset(motion, stream, grids)
+    offsets = [*(Clock(hint.offset_s) for hint in hinted), Clock()]
+    grids = [(clock, _NEAR) for clock in offsets]
+    return _best_of(motion, stream, [*grids, (offsets[0], far), (Clock(), far)])
 
 
-def _first_drift(motion: Motion, stream: str, hinted: list[Clock]) -> Clock:
-    """Return the best of drifting clocks, those of the hints and a grid, with a near offset."""
-    begin, few = float(motion.before_s.min()), _NEAR[:: max(1, len(_NEAR) // 40)]
-    drifting = [h for h in hinted if h.drift] + [Clock(0.0, d, begin) for d in _DRIFTS.tolist()]
-    grids = [
-        (replace(base, offset_s=start), few)
-        for base in drifting
-        for start in {base.offset_s, *(h.offset_s for h in hinted)}
-    ]
-    return _best_offset(motion, stream, grids)
-
-
-def _best_offset(motion: Motion, stream: str, grids: list[tuple[Clock, FloatArray]]) -> Clock:
+def _best_of(motion: Motion, stream: str, grids: list[tuple[Clock, FloatArray]]) -> Clock:
     """Clock with the least misfit, of clocks with grids of offsets on top of them."""
     least, found = np.inf, Clock()
     for base, grid in grids:
@@ -433,31 +402,7 @@ def _best_offset(motion: Motion, stream: str, grids: list[tuple[Clock, FloatArra
 
 def _offset(motion: Motion, stream: str, first: Clock) -> Cause:
     """Find the likeliest clock with another offset than `first`."""
-
-    def make(later: float) -> Cause:
-        return _clock_cause(motion, stream, 'clock', first.later(later))
-
-    return _likeliest(make, 0.0, 2.0 * _FAR_STEP_S)
-
-
-def _drift(motion: Motion, stream: str, first: Clock) -> Cause:
-    """Find the likeliest clock with another offset and drift than `first`."""
-    span = max(float(np.ptp(motion.before_s)), 1.0)
-
-    def make(change: FloatArray) -> Cause:
-        later, drift = change.tolist()
-        return _clock_cause(motion, stream, 'drift', replace(first.later(later), drift=drift))
-
-    start = np.array([0.0, first.drift])
-    simplex = start + np.array([[0.0, 0.0], [0.1, 0.0], [0.0, 0.1 / span]])
-    enough = {'initial_simplex': simplex, 'xatol': 1e-4, 'maxfev': 120}
-    best = minimize(lambda x: -make(x).score, start, method='Nelder-Mead', options=enough)
-    found = make(best.x)
-    if abs(found.value) * span < _LEAST_DRIFT_S:
-        middle = float(np.mean(motion.before_s))
-        _, clock = found.motion.stream(ODOMETRY if stream == ODOMETRY else JOINTS)
-        return _offset(motion, stream, Clock(float(clock.at(np.array(middle))) - middle))
-    return found
+    return _likeliest(lambda s: _clocked(motion, stream, first.later(s)), [0.0], _FAR_STEP_S)
 
 
 def _step(motion: Motion, stream: str) -> Cause:
@@ -477,6 +422,6 @@ def _step(motion: Motion, stream: str) -> Cause:
 
     def make(step_s: float) -> Cause:
         clock = Clock(0.0 if late else step_s, 0.0, 0.0, step_s if late else -step_s, moment)
-        return _clock_cause(motion, stream, 'step', clock)
+        return _clocked(motion, stream, clock)
 
-    return _likeliest(make, float(_NEAR[offset]), 2.0 * _NEAR_STEP_S)
+    return _likeliest(make, [float(_NEAR[offset])], _NEAR_STEP_S)

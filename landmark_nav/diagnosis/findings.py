@@ -65,15 +65,19 @@ class Diagnosis:
     findings: tuple[Finding, ...]
     delays: Delays = Delays()
 
+    def of_level(self, level: Level) -> tuple[Finding, ...]:
+        """Return the findings of one level."""
+        return tuple(finding for finding in self.findings if finding.level == level)
+
     @property
     def errors(self) -> tuple[Finding, ...]:
         """Findings that prevent localization or learning."""
-        return tuple(finding for finding in self.findings if finding.level == 'error')
+        return self.of_level('error')
 
     @property
     def warnings(self) -> tuple[Finding, ...]:
         """Findings that reduce, or may reduce, the accuracy."""
-        return tuple(finding for finding in self.findings if finding.level == 'warning')
+        return self.of_level('warning')
 
 
 def worst(findings: Iterable[Finding]) -> Level:

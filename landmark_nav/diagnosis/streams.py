@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
-from typing import Any, NamedTuple
+from functools import cached_property
+from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from landmark_nav.arrays import FloatArray, IntArray
+from landmark_nav.arrays import BoolArray, FloatArray, IntArray
+from landmark_nav.diagnosis.codes import Code
+from landmark_nav.diagnosis.findings import Finding
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.messages import decode
@@ -18,8 +19,8 @@ from landmark_nav.storage.bags import Bag, BagMessage
 from landmark_nav.storage.bags.reader import MessageFilter
 from landmark_nav.storage.bags.timelines import logged_joints
 
-# Function from a message to its values (k,).
-Values = Callable[[Any], FloatArray]
+# Streams that are compared.
+IMAGES, JOINTS, ODOMETRY = 'images', 'joint_states', 'odom'
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,83 +74,57 @@ class Stream:
         )
 
 
-class Row(NamedTuple):
-    """One usable message: stamp, time of recording, frame, values, whether the stamp was 0."""
-
-    stamp_ns: int
-    logged_ns: int
-    frame: str
-    values: FloatArray
-    unstamped: bool
-
-
-def row_of(entry: BagMessage, values: Values = lambda _: np.empty(0)) -> Row:
-    """Row of a message; `LandmarkNavError` if its stamp or `values` cannot be read."""
-    message = entry.message
-    child = getattr(message, 'child_frame_id', '')
-    frame = f'{message.header.frame_id}{" -> " if child else ""}{child}'
-    try:
-        stamp, measured = decode.stamp_ns(message.header), values(message)
-    except (TypeError, ValueError, IndexError) as error:
-        raise LandmarkNavError(f'not as its type should be: {error}') from error
-    return Row(stamp, entry.stamp_ns, frame, measured, entry.header_ns == 0)
-
-
-def _rows(bag: Bag, topic: str, values: Values) -> tuple[list[Row], list[str]]:
-    """Read the messages of a topic; return the usable ones, and why others are refused."""
-    messages, row = MessageFilter(bag, topic), partial(row_of, values=values)
-    rows = [messages.take(row, entry) for entry in bag.messages([topic])]
-    return [row for row in rows if row is not None], messages.complaints
-
-
-def stream_of(
-    bag: Bag, name: str, topic: str, rows: list[Row], refused: Sequence[str] = ()
+def read_stream(
+    bag: Bag, name: str, topic: str, values: Callable[[Any], Any] = lambda _: ()
 ) -> Stream:
-    """Arrange the messages of one topic as a stream."""
-    width = len(rows[0].values) if rows else 0
-    stamps, logged = np.array([row[:2] for row in rows], dtype=np.int64).reshape(-1, 2).T
-    values = np.array([row.values for row in rows], dtype=np.float64).reshape(len(rows), width)
-    frames = tuple(dict.fromkeys(row.frame for row in rows))
-    why = refused[0].removeprefix(f'{bag.path}: ') if refused else ''
-    unstamped = sum(row.unstamped for row in rows)
-    rest = len(refused), why, bag.start_ns, unstamped
-    return Stream(name, topic, stamps, logged, values, frames, *rest)
-
-
-def read_stream(bag: Bag, name: str, topic: str, values: Values = lambda _: np.empty(0)) -> Stream:
     """Read one topic of a bag, with what `values` makes of its messages, (k,) each."""
-    return stream_of(bag, name, topic, *_rows(bag, topic, values))
+    messages, frames = MessageFilter(bag, topic), dict[str, None]()
+
+    def row(entry: BagMessage) -> tuple[tuple[int, int, bool], Any]:
+        message = entry.message
+        child = getattr(message, 'child_frame_id', '')
+        try:
+            found = decode.stamp_ns(message.header), values(message)
+        except (TypeError, ValueError, IndexError) as error:
+            raise LandmarkNavError(f'not as its type should be: {error}') from error
+        frames[f'{message.header.frame_id}{" -> " if child else ""}{child}'] = None
+        return (found[0], entry.stamp_ns, entry.header_ns == 0), found[1]
+
+    rows = [messages.take(row, entry) for entry in bag.messages([topic])]
+    used = [found for found in rows if found is not None]
+    stamps, logged, zeros = np.array([k for k, _ in used], np.int64).reshape(-1, 3).T
+    table = np.array([v for _, v in used], np.float64).reshape(len(used), -1 if used else 0)
+    refused = messages.complaints
+    why = refused[0].removeprefix(f'{bag.path}: ') if refused else ''
+    rest = tuple(frames), len(refused), why, bag.start_ns, int(zeros.sum())
+    return Stream(name, topic, stamps, logged, table, *rest)
 
 
 def read_joints(bag: Bag, topic: str) -> dict[str, Stream]:
     """Read the streams of all joints on a topic, by name; each has positions (n, 1)."""
+    held: list[dict[str, float]] = []
 
-    def positions(message: Any) -> FloatArray:
+    def positions(message: Any) -> tuple[()]:
         found = np.asarray(message.position, dtype=np.float64)
         if len(found) < len(message.name) or not np.isfinite(found).all():
             raise LandmarkNavError('positions are too few or not numbers')
         if len({*message.name}) < len(message.name):
             raise LandmarkNavError('a joint is named twice: name each once')
-        names.append(list(map(str, message.name)))
-        return found
+        held.append(dict(zip(map(str, message.name), found.tolist(), strict=False)))
+        return ()
 
-    names: list[list[str]] = []
-    held: dict[str, list[Row]] = {}
-    rows, refused = _rows(bag, topic, positions)
-    for row, joints in zip(rows, names, strict=True):
-        for k, joint in enumerate(joints):
-            held.setdefault(joint, []).append(row._replace(values=row.values[k : k + 1]))
-    return {
-        joint: stream_of(bag, 'joint_states', topic, found, refused)
-        for joint, found in held.items()
-    }
+    every = read_stream(bag, JOINTS, topic, positions)
+    joints = {}
+    for joint in dict.fromkeys(name for each in held for name in each):
+        keep = [k for k, each in enumerate(held) if joint in each]
+        angles = np.array([held[k][joint] for k in keep])[:, None]
+        joints[joint] = replace(every.only(keep), values=angles)
+    return joints
 
 
 def unwrapped(angles: FloatArray) -> FloatArray:
     """Angles (n,) of a joint without the jumps of a driver that wraps them to one turn."""
-    if len(angles) < 2:
-        return angles
-    extent = float(np.ptp(angles))
+    extent = float(np.ptp(angles)) if len(angles) else 0.0
     # The angles may be degrees.
     for turn in (2.0 * np.pi, 360.0):
         if extent <= 1.01 * turn:
@@ -161,11 +136,11 @@ def unwrapped(angles: FloatArray) -> FloatArray:
 def pan_stream(bag: Bag, mount: PanTiltMount) -> Stream:
     """Read the pan (n, 1) of a bag from any of the topics that may hold it."""
     logged, _ = logged_joints(bag, mount)
-    rows = [
-        Row(sample.stamp_ns, log_ns, '', np.array([sample.pan_rad]), False)
-        for log_ns, sample in logged
-    ]
-    return stream_of(bag, 'joint_states', bag.find('joint_states') or '', rows)
+    stamps = np.array([sample.stamp_ns for _, sample in logged], np.int64)
+    times = np.array([log_ns for log_ns, _ in logged], np.int64)
+    pans = np.array([sample.pan_rad for _, sample in logged])[:, None]
+    topic = bag.find(JOINTS) or ''
+    return Stream(JOINTS, topic, stamps, times, pans, origin_ns=bag.start_ns)
 
 
 # Greatest rates of a robot or a joint, and least tolerance of its measurements.
@@ -180,45 +155,64 @@ _MOST_TRACKS = 4
 _LEAST_SHARE, _LEAST_TURNS = 0.03, 6
 
 
-class Source(NamedTuple):
-    """Mask (n,) of the messages of one source, its rate, and whether its values are constant."""
-
-    keep: npt.NDArray[np.bool_]
-    rate_hz: float
-    stands: bool
-
-
-def two_sources(stream: Stream, angles: tuple[int, ...]) -> tuple[Source, Source] | None:
+def one_source(stream: Stream, angles: BoolArray) -> tuple[Stream, Finding | None]:
     """
-    Split a stream into two sources, the one with more messages first; None if there is only one.
+    Return the messages of the main source of a stream, and a finding of a second one.
 
-    Columns hold positions [m], and angles [rad] if their index is in `angles`.
+    The columns (k,) that are compared hold angles [rad], or positions [m].
     """
-    if not len(stream):
-        return None
-    # In the order of arrival: stamps may go back.
+    # In the order of arrival: stamps may go back. Repeated values carry no information.
     order = np.argsort(stream.logged, kind='stable')
-    # Repeated values carry no information.
-    new = np.append(True, (np.diff(stream.values[order], axis=0) != 0.0).any(1))
-    times, values = stream.logged[order[new]], stream.values[order[new]]
-    is_angle = np.isin(np.arange(values.shape[1]), angles)
+    values = stream.values[order][:, : len(angles)]
+    new = np.append(len(values) > 0, (np.diff(values, axis=0) != 0.0).any(1))[: len(values)]
+    times, values = stream.logged[order[new]], values[new]
+    owner = _tracks(times, values, angles)
+    counts = np.bincount(owner, minlength=2)
+    main, other = (int(index) for index in np.argsort(-counts, kind='stable')[:2])
+    changes = np.flatnonzero(np.diff(owner) != 0) + 1
+    if len(changes) < 2 * _LEAST_TURNS or counts[other] < _LEAST_SHARE * len(times):
+        return stream, None
+    # Tracks may be exchanged where they cross; a constant source is identified by its value.
+    alone = changes[:-1][np.diff(changes) == 1]
+    kinds, often = np.unique(values[alone], axis=0, return_counts=True)
+    if len(alone) >= _LEAST_TURNS and often.max() > 0.8 * len(alone):
+        main, other = 0, 1
+        owner = np.all(values == kinds[often.argmax()], axis=1).astype(np.intp)
+    stands = {k: np.ptp(values[owner == k], axis=0).max() < 1e-6 for k in (main, other)}
+    if stands[main] and not stands[other]:
+        main, other = other, main  # a constant source is not the robot
+    rates = [1.0 / max(float(np.median(np.diff(times[owner == k]))), 1e-9) for k in (main, other)]
+    keep = np.zeros(len(stream), np.bool_)
+    keep[order[(owner == main)[np.cumsum(new) - 1]]] = True
+    does = 'stands still' if stands[other] else 'moves otherwise'
+    texts = stream.name, *rates, does, stream.topic
+    return stream.only(keep), Code.SOURCES.found(
+        *texts, rates_hz=rates, messages=int((~keep).sum())
+    )
+
+
+def _tracks(times: FloatArray, values: FloatArray, is_angle: BoolArray) -> IntArray:
+    """
+    Assign values (n, k) at times (n,) to the track that they continue best, by number.
+
+    All are of one track if they make too many.
+    """
     speed = np.where(is_angle, _FASTEST_RAD_S, _FASTEST_M_S)
     tolerance = np.where(is_angle, _TOLERANCE_RAD, _TOLERANCE_M)
     tracks: list[tuple[float, FloatArray, FloatArray]] = []
     owner = np.zeros(len(times), dtype=np.intp)
     for k, (time, value) in enumerate(zip(times.tolist(), values, strict=True)):
-        best, least = -1, 1.0
-        for index, (last, before, rate) in enumerate(tracks):
+        away = [1.0]
+        for last, before, rate in tracks:
             since = min(time - last, _MEMORY_S)
             step = np.abs(value - before - rate * since)
             turn = np.minimum(step % _TURN_RAD, _TURN_RAD - step % _TURN_RAD)
             step = np.where(is_angle, turn, step)
-            away = float((step / (speed * since + tolerance)).max())
-            if away < least:
-                best, least = index, away
+            away.append(float((step / (speed * since + tolerance)).max()))
+        best = int(np.argmin(away)) - 1
         if best < 0:
             if len(tracks) == _MOST_TRACKS:
-                return None
+                return np.zeros(len(times), dtype=np.intp)
             best = len(tracks)
             tracks.append((time, value, np.zeros_like(value)))
         last, before, rate = tracks[best]
@@ -226,26 +220,4 @@ def two_sources(stream: Stream, angles: tuple[int, ...]) -> tuple[Source, Source
             rate = np.clip((value - before) / (time - last), -speed, speed)
         tracks[best] = (time, value, rate)
         owner[k] = best
-    counts = np.bincount(owner, minlength=len(tracks))
-    if len(counts) < 2:
-        return None
-    main, other = (int(index) for index in np.argsort(-counts, kind='stable')[:2])
-    changes = np.flatnonzero(np.diff(owner) != 0) + 1
-    if len(changes) < 2 * _LEAST_TURNS or counts[other] < _LEAST_SHARE * len(times):
-        return None
-    # Tracks may be exchanged where they cross; a constant source is identified by its value.
-    alone = changes[:-1][np.diff(changes) == 1]
-    kinds, often = np.unique(values[alone], axis=0, return_counts=True)
-    if len(alone) >= _LEAST_TURNS and often.max() > 0.8 * len(alone):
-        main, other = 0, 1
-        owner = np.all(values == kinds[often.argmax()], axis=1).astype(np.intp)
-
-    def source(index: int) -> Source:
-        keep = np.zeros(len(order), dtype=np.bool_)
-        keep[order[(owner == index)[np.cumsum(new) - 1]]] = True
-        steps = np.diff(times[owner == index])
-        period = float(np.median(steps)) if len(steps) else 0.0
-        spread = float(np.ptp(values[owner == index], axis=0).max())
-        return Source(keep, 1.0 / period if period > 0.0 else 0.0, spread < 1e-6)
-
-    return source(main), source(other)
+    return owner

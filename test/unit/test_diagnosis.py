@@ -18,17 +18,7 @@ from landmark_nav.diagnosis import diagnose, QUICK
 from landmark_nav.diagnosis.advice import cause_findings, motion_findings
 from landmark_nav.diagnosis.causes import late_odometry, verdict
 from landmark_nav.diagnosis.looks import Looks
-from landmark_nav.diagnosis.motion import (
-    Clock,
-    driven_again,
-    explained,
-    IMAGES,
-    JOINTS,
-    linear,
-    Motion,
-    ODOMETRY,
-    Track,
-)
+from landmark_nav.diagnosis.motion import Clock, driven_again, explained, linear, Motion, Track
 from landmark_nav.diagnosis.odometry import check_speed, check_twist
 from landmark_nav.diagnosis.parts import (
     alternating_images,
@@ -40,7 +30,7 @@ from landmark_nav.diagnosis.parts import (
     repeated_values,
 )
 from landmark_nav.diagnosis.stamps import check_stamps
-from landmark_nav.diagnosis.streams import Stream, two_sources
+from landmark_nav.diagnosis.streams import IMAGES, JOINTS, ODOMETRY, one_source, Stream
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.matching.strips import StripView
 from landmark_nav.storage.bags import Bag, sensor_events
@@ -86,7 +76,7 @@ def test_without_a_fault_nothing_is_named(drive):
     assert judged.cause.kind == 'none'
     assert judged.fits
     assert not any(part(drive) for part in (repeated_values, limited_values, frozen_values))
-    assert not jumping_values(drive)
+    assert not [*jumping_values(drive)]
 
 
 def late(stream, late_s):
@@ -413,9 +403,9 @@ def test_two_sources_are_separated_even_if_each_has_its_own_clock(behind_s):
     times = np.arange(0.0, 20.0, 0.03)
     second = np.arange(len(times)) % 3 == 0
     angles = np.where(second, 1.5 - 0.05 * times, np.sin(times))
-    main, other = two_sources(_pans(times - behind_s * second, times, angles), (0,))
-    assert main.keep.tolist() == (~second).tolist()
-    assert other.keep.tolist() == second.tolist()
+    main, found = one_source(_pans(times - behind_s * second, times, angles), np.array([True]))
+    assert main.values[:, 0].tolist() == angles[~second].tolist()
+    assert found.values['messages'] == second.sum()
 
 
 def test_the_speed_of_odometry_that_arrives_in_another_order_is_that_of_its_stamps():
@@ -429,7 +419,7 @@ def test_the_speed_of_odometry_that_arrives_in_another_order_is_that_of_its_stam
 
 
 def test_a_base_that_is_pushed_in_a_sweep_is_seen():
-    (found,) = found_in_sweep(np.radians(8.0))
+    found = found_in_sweep(np.radians(8.0))
     assert found.values['turned_rad'] == pytest.approx(np.radians(8.0))
     assert found.values['at_s'] == 35.0
 
@@ -444,28 +434,30 @@ def seen(images, sharpness=0.5):
     small = dict(enumerate(images))
     nothing = Stream('images', '', *2 * (np.arange(len(images)),), np.empty((len(images), 0)))
     sharp = dict.fromkeys(small, sharpness)
-    return Looks(nothing, (), {}, small, sharp, None, None, {})
+    return Looks(nothing, small=small, sharpness=sharp)
+
+
+def content_of(looks):
+    return [*check_content(looks)]
 
 
 def test_images_that_are_covered_blurred_or_flicker_are_named():
     rng = np.random.default_rng(4)
     images = list(rng.integers(60, 200, (40, 12, 16), dtype=np.uint8))
-    assert not check_content(seen(images))
-    (blurred,) = check_content(seen(images, sharpness=0.02))
+    assert not content_of(seen(images))
+    (blurred,) = content_of(seen(images, sharpness=0.02))
     assert blurred.name == 'images sharpness'
     darker = [image // (1 + k % 2) for k, image in enumerate(images)]
-    (flickers,) = check_content(seen(darker))
+    (flickers,) = content_of(seen(darker))
     assert flickers.values['factor'] == pytest.approx(2.0, rel=0.1)
     for image in images:
         image[:, :5] = 0
-    (covered,) = check_content(seen(images))
+    (covered,) = content_of(seen(images))
     assert covered.level == 'warning'
     assert 'side left' in covered.measured
-    assert not check_content(seen([images[0]] * 40)), 'a camera that stands shows no cover'
-    assert not check_content(seen([*[images[0]] * 20, *images[:3]])), (
-        'one wall is in view for long'
-    )
-    assert check_content(seen([*[images[0]] * 20, *images])), 'covered all the same'
+    assert not content_of(seen([images[0]] * 40)), 'a camera that stands shows no cover'
+    assert not content_of(seen([*[images[0]] * 20, *images[:3]])), 'one wall is in view for long'
+    assert content_of(seen([*[images[0]] * 20, *images])), 'covered all the same'
 
 
 @pytest.mark.parametrize(('share', 'named'), [(0.55, False), (0.9, True)])
