@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from landmark_nav.diagnosis.camera_errors import CameraError
-from landmark_nav.diagnosis.causes import Cause, CLOCKS, Verdict
+from landmark_nav.diagnosis.causes import Cause, CLOCKS
 from landmark_nav.diagnosis.codes import Code, seconds_text
 from landmark_nav.diagnosis.findings import Finding, Level
 from landmark_nav.diagnosis.motion import ALIKE, Estimate, Linear, Motion
@@ -61,17 +61,16 @@ def step_finding(stream: str, step_s: float, at_s: float) -> Finding:
     return Code.STEP.at(level, stream, step_s=step_s, at_s=at_s)
 
 
-def cause_findings(judged: Verdict) -> list[Finding]:
+def cause_findings(cause: Cause) -> list[Finding]:
     """Return the finding of the likeliest fault, with its equivalent alternatives."""
-    cause = judged.cause
     if cause.kind == 'none':
-        return [] if judged.fits else [_undecided(cause)]
+        return [] if cause.fits else [_undecided(cause)]
     *others, finding = [
         clock_finding(stream, late.value, corrected=is_corrected(late))
         for stream, late in reversed(cause.late.items())
     ] or [_named(cause)]
-    if judged.rivals:
-        kinds = {(c.stream, 'clock' if c.kind in CLOCKS else c.kind) for c in judged.rivals}
+    if cause.rivals:
+        kinds = {(c.stream, 'clock' if c.kind in CLOCKS else c.kind) for c in cause.rivals}
         also = ', '.join(sorted(map(' '.join, kinds)))
         finding = replace(finding, measured=f'{finding.measured} (or {also}: undecided)')
         if cause.stream == JOINTS and cause.value < 0.0 and (IMAGES, 'clock') in kinds:

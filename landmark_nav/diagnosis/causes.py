@@ -7,7 +7,7 @@ compared by the Bayesian information criterion (Schwarz, Annals of Statistics 6(
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -46,8 +46,20 @@ _LEAST_DRIFT_S = 0.05
 CLOCKS = ('clock', 'clocks', 'drift', 'step')
 # Least drift: a clock at less than a tenth of its rate would explain a scale.
 _SLOWEST = -0.9
-# Usual sigma of the clock of odometry.
-_ODOMETRY_S = 0.01
+# Logarithms of how much rarer faults are than others: a clock with an offset is likelier than one
+# with two parameters, and the joints are late more often than the images.
+_RARE = {
+    **{
+        (stream, kind): ALIKE
+        for stream in (JOINTS, ODOMETRY, IMAGES)
+        for kind in ('drift', 'step')
+    },
+    (IMAGES, 'clock'): ALIKE,
+    (JOINTS, 'filter'): ALIKE,
+    (ODOMETRY, 'clocks'): 2.0 * ALIKE,
+}
+# Offset of the clock of odometry up to which it is usual.
+_USUAL_S = 0.03
 # Greatest sigma with which an offset is refined.
 _POLISH_S = 0.02
 # Least share of the image pairs at whose times the other streams have messages.
@@ -77,7 +89,7 @@ class Cause:
     less the cost of its parameters. `value` is a scale, the offset by which the clock is ahead of
     the others, s, the drift as a share, a step, s, or the error of other kinds; `offset_s` is the
     offset of a drifting clock, the time of a step, or that of the joints of two clocks; `name` is
-    that of a joint.
+    that of a joint; `rivals` are as likely.
     """
 
     stream: str
@@ -88,6 +100,12 @@ class Cause:
     value: float = 0.0
     name: str = ''
     offset_s: float = 0.0
+    rivals: tuple[Cause, ...] = ()
+
+    @property
+    def fits(self) -> bool:
+        """Whether the residuals are noise."""
+        return linear(self.motion).quiet
 
     @property
     def late(self) -> dict[str, Estimate]:
@@ -104,28 +122,14 @@ class Cause:
         }
 
 
-@dataclass(frozen=True)
-class Verdict:
-    """
-    Result of the comparison.
-
-    `cause` is the likeliest fault, of kind ``none`` if there is none or none is certain; `rivals`
-    are as likely; `fits` is whether the residuals without `cause` are noise.
-    """
-
-    cause: Cause
-    rivals: tuple[Cause, ...]
-    fits: bool
-
-
 def verdict(
     motion: Motion,
     joints: Mapping[str, Track] | None = None,
     by_twist: Track | None = None,
     clocks: Mapping[str, Sequence[Clock]] | None = None,
-) -> Verdict:
+) -> Cause:
     """
-    Find the likeliest single fault.
+    Find the likeliest single fault, of kind ``none`` if there is none or none is certain.
 
     `joints` are other joints that could be the pan, `by_twist` is odometry integrated from its
     twists, and `clocks` are start values of the clocks of streams, by stamps and times of
@@ -138,41 +142,24 @@ def verdict(
     if by_twist is not None:
         found.append(_cause(ODOMETRY, 'twist', replace(motion, odometry=by_twist), 1))
     found += [*_others(motion), *_scales(motion), *_clocks(motion, clocks or {})]
-    best = max(found, key=lambda cause: cause.score)
-    if best.score < none.score + CERTAIN or not linear(best.motion).quiet:
-        best = none
-    alike = [c for c in found if c.score > best.score - ALIKE]
-    offsets = [cause for cause in found if cause.kind == 'clock' and linear(cause.motion).quiet]
-
-    def likeliest(causes: Iterable[Cause], best: Cause) -> Cause:
-        scores = [(_with_odometry(cause, best.score), cause) for cause in causes]
-        enough = [one for one in scores if one[0] > best.score - ALIKE]
-        return max(enough, key=lambda one: one[0], default=(0.0, best))[1]
-
-    if best.kind in CLOCKS:
-        # Two parameters have to explain the data better than one, beyond doubt.
-        best = likeliest(offsets, best)
-    delayed = (IMAGES, *CLOCKS), (JOINTS, 'filter')
-    if any(best.stream == stream and best.kind in kinds for stream, *kinds in delayed):
-        # All delay the pan against the images; robot.yaml expects it of the clock of the joints.
-        best = likeliest((c for c in offsets if c.stream == JOINTS), best)
+    top = max(found, key=lambda cause: cause.score)
+    alike = [cause for cause in found if cause.score > top.score - ALIKE]
+    best = none
+    if top.score > none.score + CERTAIN:
+        best = max(
+            found, key=lambda cause: cause.score - _RARE.get((cause.stream, cause.kind), 0.0)
+        )
+    if best.kind == 'clocks' and abs(best.value) < _USUAL_S:
+        # The odometry is as usual: the joints are late.
+        best = next(c for c in found if (c.stream, c.kind) == (JOINTS, 'clock'))
+    best = best if best.fits else none
     best = _polished(best)
     # Faults of one clock are not different ones.
     fault = best.stream, best.kind in CLOCKS
     # Nor are two, one of which is off by nothing, another one than the other.
     no_rival = {'none', 'clocks' if best.kind == 'clock' else ''}
     rivals = [c for c in alike if c.kind not in no_rival and (c.stream, c.kind in CLOCKS) != fault]
-    rivals = [] if best.kind == 'none' else rivals
-    return Verdict(best, tuple(rivals), linear(best.motion).quiet)
-
-
-def _with_odometry(cause: Cause, most: float) -> float:
-    """Score, up to `most`, if odometry has a usual clock error beside joints that are late."""
-    if cause.stream != JOINTS or cause.motion.odometry is None:
-        return cause.score
-    off, sigma = linear(cause.motion).odometry_clock_s
-    better = min(most, cause.score + 0.5 * (off / sigma) ** 2)
-    return max(cause.score, better - 0.5 * off**2 / (sigma**2 + _ODOMETRY_S**2))
+    return replace(best, rivals=() if best.kind == 'none' else tuple(rivals))
 
 
 def late_odometry(motion: Motion, hints: Sequence[Clock]) -> float:
@@ -316,10 +303,9 @@ def _clocks(motion: Motion, hints: Mapping[str, Sequence[Clock]]) -> Iterator[Ca
             continue
         hinted = hints.get(stream, ())
         offset = _offset(motion, stream, _best_offset(few, stream, hinted))
-        drifting = [h for h in hinted if h.drift] + [Clock(0.0, d, begin) for d in _DRIFTS]
-        starts = {h.offset_s for h in hinted}
-        grid = [replace(k, offset_s=s) for k in drifting for s in {k.offset_s, *starts}]
-        first = _best_of(few, stream, [(clock, _NEAR[::7]) for clock in grid])
+        starts = {0.0, *(hint.offset_s for hint in hinted)}
+        grid = [(Clock(s, d, begin), _NEAR[::7]) for d in _DRIFTS for s in starts]
+        first = _best_of(few, stream, grid)
 
         def drifted(offset_s: float, drift: float, of: str = stream, at: Clock = first) -> Cause:
             return _clocked(motion, of, replace(at, offset_s=offset_s, drift=drift))

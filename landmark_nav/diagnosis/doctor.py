@@ -14,7 +14,7 @@ from landmark_nav.diagnosis.causes import verdict
 from landmark_nav.diagnosis.codes import Code
 from landmark_nav.diagnosis.drives import DriveChecks, THOROUGH
 from landmark_nav.diagnosis.findings import Delays, Diagnosis, Finding
-from landmark_nav.diagnosis.looks import camera_error_of, look, Looks
+from landmark_nav.diagnosis.looks import look_corrected, Looks
 from landmark_nav.diagnosis.motion import LEAST_PAIRS, linear, Motion, Track
 from landmark_nav.diagnosis.parts import check_content, moved_between
 from landmark_nav.diagnosis.stamps import check_recording, check_stamps
@@ -41,14 +41,10 @@ _INFOS = ('sweep/camera_info', 'camera/camera_info')
 
 def check_sweeps(bag: Bag, images: str, known: Calibration, most_images: int) -> list[Finding]:
     """Check the sweeps of a bag with at most `most_images` decoded images of a topic."""
-    source = bag, images, _INFOS, known, most_images
-    looks, found, mount = look(*source), list[Finding](), known.mount
-    if (error := camera_error_of(bag, looks, known)) is not None:
-        looks, mount, found = (
-            look(*source, error.setup),
-            error.setup.mount,
-            [camera_finding(error)],
-        )
+    looks, error = look_corrected(bag, images, _INFOS, known, most_images)
+    found, mount = list[Finding](), known.mount
+    if error is not None:
+        found, mount = [camera_finding(error)], error.setup.mount
         if abs(error.value) < np.log(_CALIBRATED):
             found = [replace(found[0], level='warning')]
     found += check_stamps(replace(looks.stream, name='sweep images'))
@@ -67,10 +63,10 @@ def check_sweeps(bag: Bag, images: str, known: Calibration, most_images: int) ->
         moved = moved_between(motion, partial(_motion, looks, pan, *range(2, _WIDEST + 1)))
         found += [] if moved is None else [moved]
     else:
-        judged = verdict(motion)
-        each = [*_each(motion)] if judged.cause.kind == 'none' else []
-        found += each or [_learned(finding) for finding in cause_findings(judged)]
-        slopes = linear(judged.cause.motion)
+        cause = verdict(motion)
+        each = [*_each(motion)] if cause.kind == 'none' else []
+        found += each or [_learned(finding) for finding in cause_findings(cause)]
+        slopes = linear(cause.motion)
     return [*found, *motion_findings(motion, slopes, None)[:1]]
 
 

@@ -15,7 +15,7 @@ from landmark_nav.diagnosis import advice, parts, stamps
 from landmark_nav.diagnosis.causes import late_odometry, verdict
 from landmark_nav.diagnosis.codes import Code
 from landmark_nav.diagnosis.findings import Delays, Diagnosis, Finding
-from landmark_nav.diagnosis.looks import camera_error_of, look, Looks
+from landmark_nav.diagnosis.looks import look, look_corrected, Looks
 from landmark_nav.diagnosis.motion import Clock, LEAST_PAIRS, Linear, linear, Motion, Track
 from landmark_nav.diagnosis.odometry import check_jumps, check_path, check_speed, check_twist
 from landmark_nav.diagnosis.streams import (
@@ -67,11 +67,11 @@ class DriveChecks:
     def diagnosis(self, most_images: int) -> Diagnosis:
         """Check with `most_images` decoded images; with more if these show a fault."""
         source = self._bag, self._images, _INFOS, self._known
-        looks, of_camera, setup = look(*source, most_images), list[Finding](), None
-        if (error := camera_error_of(self._bag, looks, self._known)) is not None:
-            # All other checks use the corrected setup.
-            setup, of_camera = error.setup, [advice.camera_finding(error)]
-            self._mount, looks = setup.mount, look(*source, most_images, setup)
+        looks, error = look_corrected(*source, most_images)
+        # All other checks use the corrected setup.
+        setup = error.setup if error else None
+        self._mount = setup.mount if setup else self._mount
+        of_camera = [advice.camera_finding(error)] if error else []
         found, delays, healthy = self._judged(looks)
         if not healthy and len(looks.strips) < min(len(looks.stream), THOROUGH):
             found, delays, _ = self._judged(look(*source, THOROUGH, setup))
@@ -88,11 +88,9 @@ class DriveChecks:
     def _pan(self) -> tuple[Stream | None, list[Finding]]:
         """Stream of the pan as it is read from the bag, and findings of the joints."""
         names, name = ', '.join(self._joints), self._mount.pan_joint
+        found = [Code.JOINT_NAMES.found(names or name)]
         try:
-            pan, found = (
-                pan_stream(self._bag, self._mount),
-                [Code.JOINT_NAMES.found(names or name)],
-            )
+            pan = pan_stream(self._bag, self._mount)
         except LandmarkNavError as error:
             if name not in self._joints:
                 described = str(error).removeprefix(f'{self._bag.path}: ')
@@ -188,11 +186,11 @@ class DriveChecks:
                 found = _without(found, _OF_POSE) if odometry else found
         slopes, follows = linear(motion), list[str]()
         if streams[1:] and (path := check_path(streams[1])) is not None:
-            mended = replace(motion, odometry=_odometry_track(streams[1], path.mended))
+            mended = replace(motion, odometry=_odometry_track(streams[1], path[1]))
             fitting, most = linear(mended), advice.HEADING_ERROR_RAD
             if fitting.fits and not fitting.heading_rad.beyond(most, most):
                 motion, slopes, follows = mended, fitting, [*_OF_PATH]
-                found.insert(0, path.finding)
+                found.insert(0, path[0])
         if not slopes.fits:
             return self._caused(images, streams, motion, hints, found)
         jumps = list(parts.jumping_values(motion))
@@ -220,9 +218,8 @@ class DriveChecks:
             for name, stream in self._joints.items()
             if name != self._mount.pan_joint and len(stream) > 1
         }
-        judged = verdict(motion, others, _by_twist(streams[1]) if streams[1:] else None, hints)
-        cause = judged.cause
-        found += advice.cause_findings(judged)
+        cause = verdict(motion, others, _by_twist(streams[1]) if streams[1:] else None, hints)
+        found += advice.cause_findings(cause)
         slopes = linear(cause.motion)
         if slopes.quiet:
             found += advice.motion_findings(cause.motion, slopes, self._room)
@@ -233,7 +230,7 @@ class DriveChecks:
             found = _without(found, *_OF_PATH, *([_OF_POSE] if cause.kind == 'scale' else []))
         if cause.kind == 'none':
             coarse = (
-                [] if judged.fits else [f for s in streams for f in _given(parts.coarse_values(s))]
+                [] if cause.fits else [f for s in streams for f in _given(parts.coarse_values(s))]
             )
             found = [*(coarse or found), *_clocks_by_log(motion, hints, slopes)]
         late = cause.late

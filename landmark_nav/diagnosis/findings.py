@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal
 
 from landmark_nav.errors import one_line
 
 Level = Literal['ok', 'warning', 'error']
-
-_ORDER: tuple[Level, ...] = ('ok', 'warning', 'error')
 
 
 @dataclass(frozen=True)
@@ -65,24 +63,20 @@ class Diagnosis:
     findings: tuple[Finding, ...]
     delays: Delays = Delays()
 
-    def of_level(self, level: Level) -> tuple[Finding, ...]:
-        """Return the findings of one level."""
-        return tuple(finding for finding in self.findings if finding.level == level)
-
     @property
     def errors(self) -> tuple[Finding, ...]:
         """Findings that prevent localization or learning."""
-        return self.of_level('error')
+        return tuple(finding for finding in self.findings if finding.level == 'error')
 
     @property
     def warnings(self) -> tuple[Finding, ...]:
         """Findings that reduce, or may reduce, the accuracy."""
-        return self.of_level('warning')
+        return tuple(finding for finding in self.findings if finding.level == 'warning')
 
-
-def worst(findings: Iterable[Finding]) -> Level:
-    """Level of the worst finding."""
-    return max((finding.level for finding in findings), key=_ORDER.index, default='ok')
+    @property
+    def status(self) -> Level:
+        """Level of the worst finding."""
+        return 'error' if self.errors else 'warning' if self.warnings else 'ok'
 
 
 def table(findings: Sequence[Finding]) -> list[str]:

@@ -195,7 +195,16 @@ def _sharpness(image: ImageArray) -> float:
     return float(fine / max(coarse, 1.0))
 
 
-def camera_error_of(bag: Bag, looks: Looks, known: Calibration) -> CameraError | None:
+def look_corrected(
+    bag: Bag, topic: str, infos: tuple[str, ...], known: Calibration, most_images: int
+) -> tuple[Looks, CameraError | None]:
+    """Examine images as `look` does; if lens or mount have an error, with the corrected setup."""
+    looks = look(bag, topic, infos, known, most_images)
+    error = _camera_error(bag, looks, known)
+    return (look(bag, topic, infos, known, most_images, error.setup) if error else looks), error
+
+
+def _camera_error(bag: Bag, looks: Looks, known: Calibration) -> CameraError | None:
     """Find a relevant error of lens or mount by the tracked points; None if there is none."""
     if looks.camera is None or not looks.points:
         return None

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
-from typing import NamedTuple
 
 import numpy as np
 
@@ -132,16 +131,11 @@ def check_jumps(stream: Stream) -> Finding | None:
     return Code.JUMPS.found(*words, jumps=count, metres=float(moved[first]))
 
 
-class Path(NamedTuple):
-    """Fault of a path, and the values (n, k) of its stream without the fault."""
-
-    finding: Finding
-    mended: FloatArray
-
-
-def check_path(stream: Stream) -> Path | None:
+def check_path(stream: Stream) -> tuple[Finding, FloatArray] | None:
     """
     Compare the direction of the path with the yaw; None if they agree.
+
+    Returns the fault of the path, and the values (n, k) of the stream without it.
 
     A robot that drives along its heading, forwards and backwards, keeps the angle between the two;
     in a mirrored path their sum is constant. The fault is in the path or in the heading; the
@@ -179,4 +173,4 @@ def check_path(stream: Stream) -> Path | None:
         place = 1j**quarter * np.conj(place)
         found = Code.PATH_MIRRORED.found(wrong, agrees=own, mirrored=mirrored)
     values = np.column_stack([place.real, place.imag, stream.values[:, 2:]])
-    return Path(found, values)
+    return found, values

@@ -194,20 +194,15 @@ def clock_hints(images: Stream, others: Mapping[str, Stream]) -> dict[str, list[
     Images get those of all streams, as their clock may be the wrong one.
     """
 
-    def clock_of(stream: Stream) -> tuple[float, float, bool]:
-        offset_s, drift, away = _log_clock(stream)
-        return offset_s, drift, bool(np.mean(away < _OUT_OF_STEP_S) > _STEADY)
+    def clock_of(stream: Stream) -> tuple[float, bool]:
+        offset_s, _, away = _log_clock(stream)
+        return offset_s, bool(np.mean(away < _OUT_OF_STEP_S) > _STEADY)
 
-    begin, extent = float(images.seconds[0]), float(np.ptp(images.seconds))
-    own_s, own_drift, own_steady = clock_of(images)
     hints: dict[str, list[Clock]] = {}
+    (own_s, own_steady), begin = clock_of(images), float(images.seconds[0])
     for name, stream in others.items():
-        offset_s, drift, steady = clock_of(stream)
-        drift = (1.0 + drift) / max(1.0 + own_drift, 1e-9) - 1.0
+        offset_s, steady = clock_of(stream)
         offset = offset_s - own_s if steady and own_steady else 0.0
-        start = float(stream.seconds[0]) - begin
-        longer = float(np.ptp(stream.seconds)) / extent - 1.0 if extent > 0.0 else 0.0
-        drifting = Clock(offset, drift, own_s), Clock(start, longer, begin)
-        hints[name] = [Clock(offset), Clock(start), *drifting]
+        hints[name] = [Clock(offset), Clock(float(stream.seconds[0]) - begin)]
     hints[IMAGES] = [clock for clocks in hints.values() for clock in clocks]
     return hints

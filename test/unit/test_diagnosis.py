@@ -73,7 +73,7 @@ def test_without_a_fault_nothing_is_named(drive):
     for estimate in (found.pan_scale, found.yaw_scale, found.pan_clock_s, found.odometry_clock_s):
         assert abs(estimate.value) < 4.0 * estimate.sigma
     judged = verdict(drive)
-    assert judged.cause.kind == 'none'
+    assert judged.kind == 'none'
     assert judged.fits
     assert not any(part(drive) for part in (repeated_values, limited_values, frozen_values))
     assert not [*jumping_values(drive)]
@@ -135,10 +135,10 @@ def filtered(t):
 def test_a_single_fault_is_named_and_measured(drive, stream, change, kind, value, tolerance):
     hints = {stream: [Clock(value + 0.4)]} if kind == 'clock' and stream != IMAGES else {}
     judged = verdict(change(drive), clocks=hints)
-    assert (judged.cause.stream, judged.cause.kind) == (stream, kind)
-    assert judged.cause.value == pytest.approx(value, abs=tolerance)
+    assert (judged.stream, judged.kind) == (stream, kind)
+    assert judged.value == pytest.approx(value, abs=tolerance)
     if kind == 'step':
-        assert judged.cause.offset_s == pytest.approx(12.0, abs=0.4)
+        assert judged.offset_s == pytest.approx(12.0, abs=0.4)
 
 
 @pytest.mark.parametrize(('late_s', 'level'), [(0.3, 'warning'), (0.4, 'error')])
@@ -358,8 +358,8 @@ def test_a_delay_is_laid_to_the_joints_where_undecided(seed, drive):
         given = replace(measured, odometry=replace(drive.odometry, values=yaw))
         given = replace(given, turns_rad=measured.turns_rad + given.yawed() - measured.yawed())
         judged = verdict(given)
-        assert (judged.cause.stream, judged.cause.kind) == (JOINTS, 'clock')
-        assert judged.cause.value == pytest.approx(0.05, abs=0.01)
+        assert (judged.stream, judged.kind) == (JOINTS, 'clock')
+        assert judged.value == pytest.approx(0.05, abs=0.01)
 
 
 @pytest.mark.parametrize(('scale', 'level'), [(1.0, 'ok'), (3.0, 'warning')])
@@ -495,14 +495,14 @@ def test_nanoseconds_of_another_unit_are_named(unit_ns, named):
 )
 def test_odometry_that_is_a_little_late_does_not_speak_for_images(odometry_s, stream, drive):
     late = replace(drive, pan_clock=Clock(0.05), odometry_clock=Clock(odometry_s))
-    cause = verdict(replace(drive, turns_rad=measured_anew(late, 3))).cause
+    cause = verdict(replace(drive, turns_rad=measured_anew(late, 3)))
     assert (cause.stream, cause.kind) == (stream, 'clock')
 
 
 @pytest.mark.parametrize('odometry_s', [-0.3, -0.1, 0.15])
 def test_a_clock_of_odometry_is_found_beside_joints_that_are_late(odometry_s, drive):
     late = replace(drive, pan_clock=Clock(0.02), odometry_clock=Clock(odometry_s))
-    cause = verdict(replace(drive, turns_rad=measured_anew(late, 3))).cause
+    cause = verdict(replace(drive, turns_rad=measured_anew(late, 3)))
     assert (cause.stream, cause.kind) == (ODOMETRY, 'clocks')
     assert cause.value == pytest.approx(odometry_s, abs=0.02)
     assert cause.offset_s == pytest.approx(0.02, abs=0.005)
