@@ -60,8 +60,7 @@ def check_sweeps(bag: Bag, images: str, known: Calibration, most_images: int) ->
         return found
     slopes = linear(motion)
     if slopes.fits:
-        moved = moved_between(motion, partial(_motion, looks, pan, *range(2, _WIDEST + 1)))
-        found += [] if moved is None else [moved]
+        found += moved_between(motion, partial(_motion, looks, pan, *range(2, _WIDEST + 1)))
     else:
         cause = verdict(motion)
         each = [*_each(motion)] if cause.kind == 'none' else []

@@ -99,7 +99,7 @@ class DriveChecks:
             # The reader refuses its values; later checks find out why.
             pan, found = self._joints[name], []
         pan, second = one_source(pan, np.array([True]))
-        return pan, [*found, *stamps.check_stamps(pan), *_given(second)]
+        return pan, [*found, *stamps.check_stamps(pan), *second]
 
     @cached_property
     def _odometry(self) -> tuple[Stream | None, list[Finding]]:
@@ -107,10 +107,10 @@ class DriveChecks:
         if (topic := self._bag.find(ODOMETRY)) is None:
             return None, [Code.NO_ODOMETRY.found()]
         stream, second = one_source(read_stream(self._bag, ODOMETRY, topic, _odometry_of), _YAW)
-        found = [*stamps.check_stamps(stream), *_given(second)]
+        found = [*stamps.check_stamps(stream), *second]
         if len(stream) > 1:
             found += [check_speed(stream), *check_twist(stream)]
-            found += _given(check_jumps(stream)) if second is None else []
+            found += [] if second else check_jumps(stream)
         return stream, found
 
     def _frames(self, images: Stream) -> list[Finding]:
@@ -199,7 +199,7 @@ class DriveChecks:
         found += [*advice.motion_findings(motion, slopes, self._room), *jumps]
         found += _clocks_by_log(motion, hints, slopes)
         if not follows and not frozen:
-            strange = _given(parts.strange_images(looks, chosen, pairs))
+            strange = parts.strange_images(looks, chosen, pairs)
             found += [f for f in strange if f.name not in {each.name for each in found}]
         found += self._truth(images, motion, Clock())
         return _without(found, *follows), Delays(), True
@@ -229,9 +229,7 @@ class DriveChecks:
             # Consequences of a wrong heading are not separate faults.
             found = _without(found, *_OF_PATH, *([_OF_POSE] if cause.kind == 'scale' else []))
         if cause.kind == 'none':
-            coarse = (
-                [] if cause.fits else [f for s in streams for f in _given(parts.coarse_values(s))]
-            )
+            coarse = [f for s in streams for f in parts.coarse_values(s) if not cause.fits]
             found = [*(coarse or found), *_clocks_by_log(motion, hints, slopes)]
         late = cause.late
         if not late or not all(map(advice.is_corrected, late.values())):
@@ -273,10 +271,6 @@ class DriveChecks:
         hangs = mount.pan_sense * np.cos(mount.camera_roll_rad) < 0.0
         ahead_rad = float(mount.azimuth_base_rad(0.0))
         return Motion(*looks.turns(pairs), pan, odometry, *levers, ahead_rad, hangs)
-
-
-def _given(finding: Finding | None) -> list[Finding]:
-    return [] if finding is None else [finding]
 
 
 def _without(found: list[Finding], *names: str) -> list[Finding]:

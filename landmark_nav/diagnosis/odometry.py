@@ -112,10 +112,10 @@ def nearness_of_room(room: Room) -> float:
     return float(np.mean(1.0 / np.maximum(distance, 0.3))) if len(inside) else float('nan')
 
 
-def check_jumps(stream: Stream) -> Finding | None:
-    """Find impossible steps of odometry (x, y, yaw, ...); None if there are none."""
+def check_jumps(stream: Stream) -> Iterator[Finding]:
+    """Find impossible steps of odometry (x, y, yaw, ...)."""
     if len(stream) < _LEAST_STEPS:
-        return None
+        return
     moved = np.hypot(*np.diff(stream.values[:, :2], axis=0).T)
     turned = np.abs(wrap_rad(np.diff(stream.values[:, 2])))
     # A step over a gap takes longer and may be larger.
@@ -125,10 +125,9 @@ def check_jumps(stream: Stream) -> Finding | None:
         speed = size / np.maximum(times, 1e-6)
         jumps |= (size > least) & (speed > _JUMP * float(np.quantile(speed, 0.95)))
     first, count = int(np.argmax(jumps)), int(jumps.sum())
-    if not 0 < count <= _MOST_JUMPS:
-        return None
-    words = turned[first], stream.seconds[first + 1]
-    return Code.JUMPS.found(*words, jumps=count, metres=float(moved[first]))
+    if 0 < count <= _MOST_JUMPS:
+        words = turned[first], stream.seconds[first + 1]
+        yield Code.JUMPS.found(*words, jumps=count, metres=float(moved[first]))
 
 
 def check_path(stream: Stream) -> tuple[Finding, FloatArray] | None:

@@ -140,22 +140,21 @@ def alternating_images(looks: Looks, motion: Motion) -> Finding | None:
     return Code.ALTERNATING.found(odd=int(odd.sum()), images=len(odd))
 
 
-def strange_images(looks: Looks, pairs: IndexArray, motion: Motion) -> Finding | None:
+def strange_images(looks: Looks, pairs: IndexArray, motion: Motion) -> Iterator[Finding]:
     """
-    Find images that do not match the previous one though they overlap; None if they are few.
+    Find images that do not match the previous one though they overlap.
 
     `motion` has no other fault, the turns of `pairs` (n, 2), and NaN if images do not match.
     """
     if looks.view is None:
-        return None
+        return
     clear = [comparable(looks.strips[k], looks.strips[n]) for k, n in pairs.tolist()]
     motion = motion.only(np.array(clear, np.bool_))
     shared = np.abs(motion.panned() + motion.yawed()) < _SHARED * looks.view.width_rad
     matched = np.abs(motion.unexplained()) < _STRANGE_RAD
     count, strange = int(shared.sum()), int((shared & ~matched).sum())
-    if count < LEAST_PAIRS or strange < _MOST_STRANGE * count:
-        return None
-    return Code.STRANGE.found(strange=strange, pairs=count)
+    if count >= LEAST_PAIRS and strange >= _MOST_STRANGE * count:
+        yield Code.STRANGE.found(strange=strange, pairs=count)
 
 
 def frozen_values(motion: Motion) -> Part | None:
@@ -241,7 +240,7 @@ def jumping_values(motion: Motion) -> Iterator[Finding]:
                 break
 
 
-def moved_between(motion: Motion, wider: Callable[[], Motion]) -> Finding | None:
+def moved_between(motion: Motion, wider: Callable[[], Motion]) -> Iterator[Finding]:
     """
     Find a jump of the camera in a sweep that consecutive images show and the pan does not.
 
@@ -250,14 +249,14 @@ def moved_between(motion: Motion, wider: Callable[[], Motion]) -> Finding | None
     """
     left = motion.unexplained()
     if not len(jumps := _jumps(left)):
-        return None
+        return
     wide = wider()
     across = wide.unexplained()
     for k in jumps:
         over = (wide.before_s <= motion.before_s[k]) & (wide.after_s >= motion.after_s[k])
         if over.any() and abs(np.median(across[over]) - left[k]) <= _SAME_JUMP * abs(left[k]):
-            return Code.PUSHED.found(turned_rad=float(left[k]), at_s=float(motion.before_s[k]))
-    return None
+            yield Code.PUSHED.found(turned_rad=float(left[k]), at_s=float(motion.before_s[k]))
+            return
 
 
 def _jumps(left: FloatArray) -> IndexArray:
@@ -266,14 +265,13 @@ def _jumps(left: FloatArray) -> IndexArray:
     return np.flatnonzero(np.abs(left) > max(_JUMP_RAD, _OFF_SIGMAS * noise))
 
 
-def coarse_values(stream: Stream) -> Finding | None:
-    """Find a resolution of pan or yaw that is coarser than that of the images; None if fine."""
+def coarse_values(stream: Stream) -> Iterator[Finding]:
+    """Find a resolution of pan or yaw that is coarser than that of the images."""
     name, column = ('pan', 0) if stream.name == JOINTS else ('odom yaw', 2)
     values = np.unique(np.round(stream.values[:, column], 9))
     step = float(np.diff(values).min()) if len(values) > 2 else 0.0
-    if step < NOISE_RAD or np.abs(values / step - np.round(values / step)).max() > _WHOLE:
-        return None
-    return Code.RESOLUTION.found(name, step_rad=step)
+    if step >= NOISE_RAD and np.abs(values / step - np.round(values / step)).max() <= _WHOLE:
+        yield Code.RESOLUTION.found(name, step_rad=step)
 
 
 def _unchanged(motion: Motion, stream: str) -> FloatArray:

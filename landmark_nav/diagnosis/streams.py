@@ -155,7 +155,7 @@ _MOST_TRACKS = 4
 _LEAST_SHARE, _LEAST_TURNS = 0.03, 6
 
 
-def one_source(stream: Stream, angles: BoolArray) -> tuple[Stream, Finding | None]:
+def one_source(stream: Stream, angles: BoolArray) -> tuple[Stream, list[Finding]]:
     """
     Return the messages of the main source of a stream, and a finding of a second one.
 
@@ -171,7 +171,7 @@ def one_source(stream: Stream, angles: BoolArray) -> tuple[Stream, Finding | Non
     main, other = (int(index) for index in np.argsort(-counts, kind='stable')[:2])
     changes = np.flatnonzero(np.diff(owner) != 0) + 1
     if len(changes) < 2 * _LEAST_TURNS or counts[other] < _LEAST_SHARE * len(times):
-        return stream, None
+        return stream, []
     # Tracks may be exchanged where they cross; a constant source is identified by its value.
     alone = changes[:-1][np.diff(changes) == 1]
     kinds, often = np.unique(values[alone], axis=0, return_counts=True)
@@ -185,10 +185,8 @@ def one_source(stream: Stream, angles: BoolArray) -> tuple[Stream, Finding | Non
     keep = np.zeros(len(stream), np.bool_)
     keep[order[(owner == main)[np.cumsum(new) - 1]]] = True
     does = 'stands still' if stands[other] else 'moves otherwise'
-    texts = stream.name, *rates, does, stream.topic
-    return stream.only(keep), Code.SOURCES.found(
-        *texts, rates_hz=rates, messages=int((~keep).sum())
-    )
+    texts, count = (stream.name, *rates, does, stream.topic), int((~keep).sum())
+    return stream.only(keep), [Code.SOURCES.found(*texts, rates_hz=rates, messages=count)]
 
 
 def _tracks(times: FloatArray, values: FloatArray, is_angle: BoolArray) -> IntArray:

@@ -389,7 +389,7 @@ def found_in_sweep(pushed_rad, passing=0):
     turns[(first >= 36 - passing) & (second == 36)] += 0.3
     every = Motion(seconds[first], seconds[second], turns, pan, None)
     one, wide = every.only(second == first + 1), every.only(second > first + 1)
-    return moved_between(one, lambda: wide)
+    return [*moved_between(one, lambda: wide)]
 
 
 def _pans(stamps_s, logged_s, angles):
@@ -403,7 +403,7 @@ def test_two_sources_are_separated_even_if_each_has_its_own_clock(behind_s):
     times = np.arange(0.0, 20.0, 0.03)
     second = np.arange(len(times)) % 3 == 0
     angles = np.where(second, 1.5 - 0.05 * times, np.sin(times))
-    main, found = one_source(_pans(times - behind_s * second, times, angles), np.array([True]))
+    main, (found,) = one_source(_pans(times - behind_s * second, times, angles), np.array([True]))
     assert main.values[:, 0].tolist() == angles[~second].tolist()
     assert found.values['messages'] == second.sum()
 
@@ -419,7 +419,7 @@ def test_the_speed_of_odometry_that_arrives_in_another_order_is_that_of_its_stam
 
 
 def test_a_base_that_is_pushed_in_a_sweep_is_seen():
-    found = found_in_sweep(np.radians(8.0))
+    (found,) = found_in_sweep(np.radians(8.0))
     assert found.values['turned_rad'] == pytest.approx(np.radians(8.0))
     assert found.values['at_s'] == 35.0
 
