@@ -15,7 +15,7 @@ from landmark_nav.cli.check import checked
 from landmark_nav.cli.learn import check_scale, is_placed, located_sweeps, panoramas_of_bag
 from landmark_nav.cli.options import add, open_bag, progress, text_of, wrapped
 from landmark_nav.configuration import Configuration, load_configuration, READS
-from landmark_nav.diagnosis.codes import Code
+from landmark_nav.diagnosis.findings import Code
 from landmark_nav.errors import inside, LandmarkNavError
 from landmark_nav.evaluation import calibration_run
 from landmark_nav.evaluation.report import calibration_page, check_report, tables, write_report

@@ -9,8 +9,7 @@ import numpy as np
 
 from landmark_nav.diagnosis.camera_errors import CameraError
 from landmark_nav.diagnosis.causes import Cause, CLOCKS
-from landmark_nav.diagnosis.codes import Code, seconds_text
-from landmark_nav.diagnosis.findings import Finding, Level
+from landmark_nav.diagnosis.findings import Code, Finding, Level, seconds_text
 from landmark_nav.diagnosis.motion import ALIKE, Estimate, Linear, Motion
 from landmark_nav.diagnosis.odometry import nearness_of_room, unit_of
 from landmark_nav.diagnosis.streams import IMAGES, JOINTS, ODOMETRY

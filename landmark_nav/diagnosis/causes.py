@@ -126,13 +126,13 @@ def verdict(
     motion: Motion,
     joints: Mapping[str, Track] | None = None,
     by_twist: Track | None = None,
-    clocks: Mapping[str, Sequence[Clock]] | None = None,
+    offsets: Mapping[str, Sequence[float]] | None = None,
 ) -> Cause:
     """
     Find the likeliest single fault, of kind ``none`` if there is none or none is certain.
 
     `joints` are other joints that could be the pan, `by_twist` is odometry integrated from its
-    twists, and `clocks` are start values of the clocks of streams, by stamps and times of
+    twists, and `offsets` are start values of the clocks of streams, s, by stamps and times of
     recording.
     """
     none = _cause(IMAGES, 'none', motion, 0)
@@ -141,7 +141,7 @@ def verdict(
         found.append(_cause(JOINTS, 'joint', replace(motion, pan=track), 1, name=name))
     if by_twist is not None:
         found.append(_cause(ODOMETRY, 'twist', replace(motion, odometry=by_twist), 1))
-    found += [*_others(motion), *_scales(motion), *_clocks(motion, clocks or {})]
+    found += [*_others(motion), *_scales(motion), *_clocks(motion, offsets or {})]
     top = max(found, key=lambda cause: cause.score)
     alike = [cause for cause in found if cause.score > top.score - ALIKE]
     best = none
@@ -162,7 +162,7 @@ def verdict(
     return replace(best, rivals=() if best.kind == 'none' else tuple(rivals))
 
 
-def late_odometry(motion: Motion, hints: Sequence[Clock]) -> float:
+def late_odometry(motion: Motion, hints: Sequence[float]) -> float:
     """Delay of the stamps of odometry, s: another than given only if it is certain."""
     now, now_s = _cause(ODOMETRY, 'none', motion, 1), motion.odometry_clock.offset_s
     found = _polished(_offset(motion, ODOMETRY, _best_offset(motion, ODOMETRY, hints)))
@@ -294,7 +294,7 @@ def _scales(motion: Motion) -> Iterator[Cause]:
             yield replace(cause, score=cause.score - len(motion) * float(np.log(abs(scale))))
 
 
-def _clocks(motion: Motion, hints: Mapping[str, Sequence[Clock]]) -> Iterator[Cause]:
+def _clocks(motion: Motion, hints: Mapping[str, Sequence[float]]) -> Iterator[Cause]:
     few = motion.only(np.linspace(0, len(motion) - 1, min(_PAIRS, len(motion))).astype(np.intp))
     begin, middle = float(motion.before_s.min()), float(np.mean(motion.before_s))
     span = max(float(np.ptp(motion.before_s)), 1.0)
@@ -303,7 +303,7 @@ def _clocks(motion: Motion, hints: Mapping[str, Sequence[Clock]]) -> Iterator[Ca
             continue
         hinted = hints.get(stream, ())
         offset = _offset(motion, stream, _best_offset(few, stream, hinted))
-        starts = {0.0, *(hint.offset_s for hint in hinted)}
+        starts = {0.0, *hinted}
         grid = [(Clock(s, d, begin), _NEAR[::7]) for d in _DRIFTS for s in starts]
         first = _best_of(few, stream, grid)
 
@@ -326,7 +326,7 @@ def _clocks(motion: Motion, hints: Mapping[str, Sequence[Clock]]) -> Iterator[Ca
         yield _step(motion, stream)
 
 
-def _both(motion: Motion, few: Motion, pan: Clock, hinted: Sequence[Clock]) -> Cause:
+def _both(motion: Motion, few: Motion, pan: Clock, hinted: Sequence[float]) -> Cause:
     """Find the likeliest clocks of joints and odometry, from the one of the joints."""
     odometry = _best_offset(replace(few, pan_clock=pan), ODOMETRY, hinted)
     return _likeliest(
@@ -365,11 +365,11 @@ def _misfit(motion: Motion, stream: str, clocks: Clock) -> FloatArray:
     return np.asarray(np.log1p((left / _FIRST_NOISE_RAD) ** 2))
 
 
-def _best_offset(motion: Motion, stream: str, hinted: Sequence[Clock]) -> Clock:
+def _best_offset(motion: Motion, stream: str, hinted: Sequence[float]) -> Clock:
     """Return the best offset of a coarse search around the hints and around no offset."""
     reach = min(float(motion.after_s.max() - motion.before_s.min()), _FAR_S)
     far = np.arange(-reach, reach, _FAR_STEP_S)
-    offsets = [*(Clock(hint.offset_s) for hint in hinted), Clock()]
+    offsets = [*map(Clock, hinted), Clock()]
     grids = [(clock, _NEAR) for clock in offsets]
     return _best_of(motion, stream, [*grids, (offsets[0], far), (Clock(), far)])
 

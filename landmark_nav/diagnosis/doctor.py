@@ -11,14 +11,18 @@ import numpy as np
 from landmark_nav.calibration import Calibration
 from landmark_nav.diagnosis.advice import camera_finding, cause_findings, motion_findings
 from landmark_nav.diagnosis.causes import verdict
-from landmark_nav.diagnosis.codes import Code
 from landmark_nav.diagnosis.drives import DriveChecks, THOROUGH
-from landmark_nav.diagnosis.findings import Delays, Diagnosis, Finding
+from landmark_nav.diagnosis.findings import Code, Delays, Diagnosis, Finding
 from landmark_nav.diagnosis.looks import look_corrected, Looks
 from landmark_nav.diagnosis.motion import LEAST_PAIRS, linear, Motion, Track
 from landmark_nav.diagnosis.parts import check_content, moved_between
-from landmark_nav.diagnosis.stamps import check_recording, check_stamps
-from landmark_nav.diagnosis.streams import pan_stream, read_stream, unwrapped
+from landmark_nav.diagnosis.streams import (
+    check_recording,
+    check_stamps,
+    pan_stream,
+    read_stream,
+    unwrapped,
+)
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room

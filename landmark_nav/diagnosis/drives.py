@@ -11,16 +11,21 @@ import numpy as np
 
 from landmark_nav.arrays import FloatArray, IndexArray
 from landmark_nav.calibration import Calibration
-from landmark_nav.diagnosis import advice, parts, stamps
+from landmark_nav.diagnosis import advice, parts
 from landmark_nav.diagnosis.causes import late_odometry, verdict
-from landmark_nav.diagnosis.codes import Code
-from landmark_nav.diagnosis.findings import Delays, Diagnosis, Finding
+from landmark_nav.diagnosis.findings import Code, Delays, Diagnosis, Finding
 from landmark_nav.diagnosis.looks import look, look_corrected, Looks
 from landmark_nav.diagnosis.motion import Clock, LEAST_PAIRS, Linear, linear, Motion, Track
 from landmark_nav.diagnosis.odometry import check_jumps, check_path, check_speed, check_twist
 from landmark_nav.diagnosis.streams import (
+    by_arrival,
+    check_stamps,
+    clock_hints,
     IMAGES,
+    in_step,
     JOINTS,
+    lone_steps,
+    longest_part,
     ODOMETRY,
     one_source,
     pan_stream,
@@ -99,7 +104,7 @@ class DriveChecks:
             # The reader refuses its values; later checks find out why.
             pan, found = self._joints[name], []
         pan, second = one_source(pan, np.array([True]))
-        return pan, [*found, *stamps.check_stamps(pan), *second]
+        return pan, [*found, *check_stamps(pan), *second]
 
     @cached_property
     def _odometry(self) -> tuple[Stream | None, list[Finding]]:
@@ -107,7 +112,7 @@ class DriveChecks:
         if (topic := self._bag.find(ODOMETRY)) is None:
             return None, [Code.NO_ODOMETRY.found()]
         stream, second = one_source(read_stream(self._bag, ODOMETRY, topic, _odometry_of), _YAW)
-        found = [*stamps.check_stamps(stream), *second]
+        found = [*check_stamps(stream), *second]
         if len(stream) > 1:
             found += [check_speed(stream), *check_twist(stream)]
             found += [] if second else check_jumps(stream)
@@ -127,7 +132,7 @@ class DriveChecks:
     def _judged(self, looks: Looks) -> _Judged:
         content = [*parts.check_content(looks)]
         (pan, of_pan), (odometry, of_odometry) = self._pan, self._odometry
-        found = [*stamps.check_stamps(looks.stream), *looks.findings, *content]
+        found = [*check_stamps(looks.stream), *looks.findings, *content]
         found += [*of_pan, *of_odometry, *self._frames(looks.stream)]
         streams = [stream for stream in (pan, odometry) if stream is not None]
         usable = all(len(s) > 1 and s.stamps_ns.any() for s in (looks.stream, *streams))
@@ -135,8 +140,8 @@ class DriveChecks:
         covered = any(f.name == Code.COVERED.check and f.level == 'error' for f in content)
         if pan is None or covered or not usable:
             return found, Delays(), True
-        looks = replace(looks, stream=stamps.by_arrival(looks.stream))
-        streams = [stamps.by_arrival(stream) for stream in streams]
+        looks = replace(looks, stream=by_arrival(looks.stream))
+        streams = [by_arrival(stream) for stream in streams]
         streams[1:] = map(self._by_images, streams[1:])
         return self._against_images(looks, streams, found)
 
@@ -148,15 +153,15 @@ class DriveChecks:
     def _against_images(
         self, looks: Looks, streams: Sequence[Stream], found: list[Finding]
     ) -> _Judged:
-        for step_s, at_s in stamps.lone_steps(looks.stream, streams):
+        for step_s, at_s in lone_steps(looks.stream, streams):
             if abs(step_s) > advice.CORRECTED_S:
                 found.append(advice.step_finding(IMAGES, step_s, at_s))
-        first, last = stamps.longest_part(looks.stream)
-        streams = [stamps.in_step(stream.logged_within(first, last)) for stream in streams]
+        first, last = longest_part(looks.stream)
+        streams = [in_step(stream.logged_within(first, last)) for stream in streams]
         images = looks.stream.logged_within(first, last)
         if any(len(stream) < 2 for stream in (images, *streams)):
             return found, Delays(), True
-        hints = stamps.clock_hints(images, dict(zip((JOINTS, ODOMETRY), streams, strict=False)))
+        hints = clock_hints(images, dict(zip((JOINTS, ODOMETRY), streams, strict=False)))
         chosen = looks.pairs()
         logged, stamps_s = looks.stream.logged_ns[chosen], looks.stream.seconds[chosen]
         within = ((logged >= first) & (logged <= last)).all(1)
@@ -209,7 +214,7 @@ class DriveChecks:
         images: Stream,
         streams: Sequence[Stream],
         motion: Motion,
-        hints: Mapping[str, Sequence[Clock]],
+        hints: Mapping[str, Sequence[float]],
         found: list[Finding],
     ) -> _Judged:
         """Find the cause why joints and odometry do not explain the motion of the images."""
@@ -255,10 +260,10 @@ class DriveChecks:
         known = replace(motion, turns_rad=motion.yawed(), pan=still, yaw_scale=1.0)
         track = _odometry_track(truth, truth.values)
         known = replace(known, odometry=track, odometry_clock=clock)
-        hints = stamps.clock_hints(images, {ODOMETRY: truth})[ODOMETRY]
+        hints = clock_hints(images, {ODOMETRY: truth})[ODOMETRY]
         late = late_odometry(known, hints) - clock.offset_s
         if known.covered(ODOMETRY) < _ENOUGH:
-            late = late or hints[0].offset_s or hints[1].offset_s
+            late = late or hints[0] or hints[1]
         return [] if abs(late) < _TRUTH_S else [Code.TRUTH_CLOCK.found(late_s=late)]
 
     def _motion(self, looks: Looks, pairs: IndexArray, streams: Sequence[Stream]) -> Motion:
@@ -306,7 +311,7 @@ def _by_twist(stream: Stream) -> Track:
 
 
 def _clocks_by_log(
-    motion: Motion, hints: Mapping[str, Sequence[Clock]], slopes: Linear | None
+    motion: Motion, hints: Mapping[str, Sequence[float]], slopes: Linear | None
 ) -> list[Finding]:
     """Find clock offsets by times of recording if motion does not show them."""
     off = {}
@@ -315,7 +320,7 @@ def _clocks_by_log(
             shown = slopes.pan_clock_s if name == JOINTS else slopes.odometry_clock_s
             if shown.sigma < _KNOWN_S:
                 continue
-        by_log, by_start = (clock.offset_s for clock in hints.get(name, (Clock(), Clock()))[:2])
+        by_log, by_start, *_ = hints.get(name, (0.0, 0.0))
         if abs(by_log) > _BY_LOG_S:
             off[name] = by_log
         elif motion.covered(name) < _COVERED:

@@ -21,8 +21,7 @@ from landmark_nav.diagnosis.camera_errors import (
     matched,
     Matches,
 )
-from landmark_nav.diagnosis.codes import Code
-from landmark_nav.diagnosis.findings import Finding, Level
+from landmark_nav.diagnosis.findings import Code, Finding, Level
 from landmark_nav.diagnosis.streams import IMAGES, read_stream, Stream
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel

@@ -7,8 +7,7 @@ from collections.abc import Iterator, Mapping
 import numpy as np
 
 from landmark_nav.arrays import FloatArray
-from landmark_nav.diagnosis.codes import Code
-from landmark_nav.diagnosis.findings import Finding, Level
+from landmark_nav.diagnosis.findings import Code, Finding, Level
 from landmark_nav.diagnosis.streams import Stream
 from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.walls import Room

@@ -8,8 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from landmark_nav.arrays import FloatArray, IndexArray
-from landmark_nav.diagnosis.codes import Code
-from landmark_nav.diagnosis.findings import Finding, Level
+from landmark_nav.diagnosis.findings import Code, Finding, Level
 from landmark_nav.diagnosis.looks import Looks
 from landmark_nav.diagnosis.motion import explained, fit, LEAST_PAIRS, Motion, NOISE_RAD, Track
 from landmark_nav.diagnosis.streams import JOINTS, ODOMETRY, Stream

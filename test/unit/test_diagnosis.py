@@ -29,8 +29,14 @@ from landmark_nav.diagnosis.parts import (
     moved_between,
     repeated_values,
 )
-from landmark_nav.diagnosis.stamps import check_stamps
-from landmark_nav.diagnosis.streams import IMAGES, JOINTS, ODOMETRY, one_source, Stream
+from landmark_nav.diagnosis.streams import (
+    check_stamps,
+    IMAGES,
+    JOINTS,
+    ODOMETRY,
+    one_source,
+    Stream,
+)
 from landmark_nav.geometry.camera import CameraModel, PanTiltMount
 from landmark_nav.matching.strips import StripView
 from landmark_nav.storage.bags import Bag, sensor_events
@@ -133,8 +139,8 @@ def filtered(t):
     ],
 )
 def test_a_single_fault_is_named_and_measured(drive, stream, change, kind, value, tolerance):
-    hints = {stream: [Clock(value + 0.4)]} if kind == 'clock' and stream != IMAGES else {}
-    judged = verdict(change(drive), clocks=hints)
+    hints = {stream: [value + 0.4]} if kind == 'clock' and stream != IMAGES else {}
+    judged = verdict(change(drive), offsets=hints)
     assert (judged.stream, judged.kind) == (stream, kind)
     assert judged.value == pytest.approx(value, abs=tolerance)
     if kind == 'step':
@@ -146,7 +152,7 @@ def test_a_clock_at_the_bound_is_corrected_as_far_as_its_sigma_allows(drive, lat
     _, change, *_ = late(ODOMETRY, late_s)
     for seed in range(4):
         motion = change(replace(drive, turns_rad=measured_anew(drive, seed)))
-        (found,) = cause_findings(verdict(motion, clocks={ODOMETRY: [Clock(late_s + 0.4)]}))
+        (found,) = cause_findings(verdict(motion, offsets={ODOMETRY: [late_s + 0.4]}))
         assert (found.name, found.level) == ('odom clock', level)
 
 
