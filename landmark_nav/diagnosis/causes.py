@@ -214,14 +214,11 @@ def _along(motion: Motion) -> float:
 
 
 def _likeliest(make: Callable[..., Cause], first: Sequence[float], *steps: float) -> Cause:
-    """Find the cause with the likeliest values within two steps of the first ones."""
-    start, reach = np.array(first), 2.0 * np.array(steps)
+    """Find the cause with the likeliest values near the first ones."""
+    start = np.array(first)
     simplex = start + np.vstack([np.zeros(len(start)), np.diag(steps)])
     enough = {'initial_simplex': simplex, 'xatol': 1e-4, 'fatol': 1e-2, 'maxfev': 120}
-    bounds = np.stack([start - reach, start + reach], -1)
-    best = minimize(
-        lambda x: -make(*x).score, start, method='Nelder-Mead', bounds=bounds, options=enough
-    )
+    best = minimize(lambda x: -make(*x).score, start, method='Nelder-Mead', options=enough)
     return make(*best.x.tolist())
 
 
@@ -313,7 +310,7 @@ def _clocks(motion: Motion, hints: Mapping[str, Sequence[float]]) -> Iterator[Ca
         def drifted(offset_s: float, drift: float, of: str = stream, at: Clock = first) -> Cause:
             return _clocked(motion, of, replace(at, offset_s=offset_s, drift=drift))
 
-        drift = _likeliest(drifted, [first.offset_s, first.drift], 0.5, 0.5 / span)
+        drift = _likeliest(drifted, [first.offset_s, first.drift], 0.1, 0.1 / span)
         if abs(drift.value) * span < _LEAST_DRIFT_S:
             _, clock = drift.motion.stream(ODOMETRY if stream == ODOMETRY else JOINTS)
             drift = _offset(motion, stream, Clock(float(clock.at(np.array(middle))) - middle))
@@ -333,7 +330,7 @@ def _both(motion: Motion, few: Motion, pan: Clock, hinted: Sequence[float]) -> C
     """Find the likeliest clocks of joints and odometry, from the one of the joints."""
     odometry = _best_offset(replace(few, pan_clock=pan), ODOMETRY, hinted)
     return _likeliest(
-        lambda a, b: _two_clocks(motion, pan.later(a), odometry.later(b)), [0.0, 0.0], 0.1, 0.1
+        lambda a, b: _two_clocks(motion, pan.later(a), odometry.later(b)), [0.0, 0.0], 0.05, 0.05
     )
 
 
@@ -390,8 +387,13 @@ def _best_of(motion: Motion, stream: str, grids: list[tuple[Clock, FloatArray]])
 
 
 def _offset(motion: Motion, stream: str, first: Clock) -> Cause:
-    """Find the likeliest clock with another offset than `first`."""
-    return _likeliest(lambda s: _clocked(motion, stream, first.later(s)), [0.0], _FAR_STEP_S)
+    """Find the likeliest clock with another offset than `first`, within two steps of it."""
+
+    def make(later_s: float) -> Cause:
+        near_s = float(np.clip(later_s, -2.0 * _FAR_STEP_S, 2.0 * _FAR_STEP_S))
+        return _clocked(motion, stream, first.later(near_s))
+
+    return _likeliest(make, [0.0], _FAR_STEP_S)
 
 
 def _step(motion: Motion, stream: str) -> Cause:
