@@ -15,7 +15,7 @@ from landmark_nav.cli.check import checked
 from landmark_nav.cli.learn import check_scale, is_placed, located_sweeps, panoramas_of_bag
 from landmark_nav.cli.options import add, open_bag, progress, text_of, wrapped
 from landmark_nav.configuration import Configuration, load_configuration, READS
-from landmark_nav.diagnosis.looks import ZOOM
+from landmark_nav.diagnosis.findings import Code
 from landmark_nav.errors import inside, LandmarkNavError
 from landmark_nav.evaluation import calibration_run
 from landmark_nav.evaluation.report import calibration_page, check_report, tables, write_report
@@ -175,7 +175,7 @@ def _use_drive(work: _Work, bag: Bag) -> None:
         raise LandmarkNavError(f'{bag.path}: a drive needs a map: {how}')
     room = Room(landmarks.walls) if landmarks.walls else None
     diagnosis = checked(bag, known, room)
-    if any(finding.name == ZOOM for finding in diagnosis.warnings):
+    if any(finding.name == Code.ZOOM.check for finding in diagnosis.warnings):
         how = 'robot.yaml holds one lens: record one, or publish one calibration'
         raise LandmarkNavError(f'{bag.path}: the focal length in camera_info changes: {how}')
     late = diagnosis.delays

@@ -10,7 +10,7 @@ import numpy as np
 
 from landmark_nav.calibration import Calibration
 from landmark_nav.cli.options import add, open_bag, progress
-from landmark_nav.diagnosis import check_papers, diagnose, Diagnosis, Finding, QUICK, table, worst
+from landmark_nav.diagnosis import check_papers, diagnose, Diagnosis, Finding, QUICK, table
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.evaluation.replay import replay
 from landmark_nav.geometry.camera import PanTiltMount
@@ -54,8 +54,8 @@ def run(args: argparse.Namespace) -> int:
         found = replace(found, findings=(*found.findings, *check_papers(bag, known, room)))
     if args.map and args.robot and not found.errors and bag.find('odom'):
         found = replace(found, findings=(*found.findings, *_check_map(bag, args)))
-    checks, status = [finding.report() for finding in found.findings], worst(found.findings)
-    report = {'schema': 1, 'bag': str(bag.path), 'status': status, 'checks': checks}
+    checks = [finding.report() for finding in found.findings]
+    report = {'schema': 1, 'bag': str(bag.path), 'status': found.status, 'checks': checks}
     write_json(args.json, report)
     print('\n'.join(table(found.findings)))
     print(f'errors: {len(found.errors)}, warnings: {len(found.warnings)}')

@@ -2,4 +2,4 @@
 
 from landmark_nav.diagnosis.doctor import check_papers, diagnose, QUICK
 from landmark_nav.diagnosis.drives import THOROUGH
-from landmark_nav.diagnosis.findings import Delays, Diagnosis, Finding, table, worst
+from landmark_nav.diagnosis.findings import Delays, Diagnosis, Finding, table

@@ -7,12 +7,12 @@ compared by the Bayesian information criterion (Schwarz, Annals of Statistics 6(
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize, minimize_scalar
+from scipy.optimize import minimize
 
 from landmark_nav.arrays import FloatArray
 from landmark_nav.diagnosis.motion import (
@@ -25,14 +25,12 @@ from landmark_nav.diagnosis.motion import (
     Fit,
     fit,
     FREEDOM,
-    IMAGES,
-    JOINTS,
     linear,
     Motion,
     MOUNT,
-    ODOMETRY,
     Track,
 )
+from landmark_nav.diagnosis.streams import IMAGES, JOINTS, ODOMETRY
 
 # Scales that are tried: reversed sign, gears, degrees, no motion.
 _SCALES = (-1.0, 0.5, 2.0, -0.5, -2.0, np.pi / 180.0, -np.pi / 180.0, 180.0 / np.pi, 0.0)
@@ -48,18 +46,27 @@ _LEAST_DRIFT_S = 0.05
 CLOCKS = ('clock', 'clocks', 'drift', 'step')
 # Least drift: a clock at less than a tenth of its rate would explain a scale.
 _SLOWEST = -0.9
-# Usual sigma of the clock of odometry.
-_ODOMETRY_S = 0.01
+# Logarithms of how much rarer faults are than others: a clock with an offset is likelier than one
+# with two parameters, and the joints are late more often than the images.
+_RARE = {
+    **{
+        (stream, kind): ALIKE
+        for stream in (JOINTS, ODOMETRY, IMAGES)
+        for kind in ('drift', 'step')
+    },
+    (IMAGES, 'clock'): ALIKE,
+    (JOINTS, 'filter'): ALIKE,
+    (ODOMETRY, 'clocks'): 2.0 * ALIKE,
+}
+# Offset of the clock of odometry up to which it is usual.
+_USUAL_S = 0.03
 # Greatest sigma with which an offset is refined.
 _POLISH_S = 0.02
 # Least share of the image pairs at whose times the other streams have messages.
 _LEAST_COVERED = 0.3
-# Searches of each of two clocks, in turn.
-_TURNS = 3
 # Number of image pairs in the coarse search, and their noise.
 _PAIRS = 160
 _FIRST_NOISE_RAD = 0.01
-
 # Sigma of the angle between path and heading, and time of a step.
 _ALONG_RAD, _STEP_S = 0.1, 0.2
 # Prior sigmas of the pan axis from the base, and of the optical centre from the pan axis.
@@ -82,7 +89,7 @@ class Cause:
     less the cost of its parameters. `value` is a scale, the offset by which the clock is ahead of
     the others, s, the drift as a share, a step, s, or the error of other kinds; `offset_s` is the
     offset of a drifting clock, the time of a step, or that of the joints of two clocks; `name` is
-    that of a joint.
+    that of a joint; `rivals` are as likely.
     """
 
     stream: str
@@ -93,6 +100,12 @@ class Cause:
     value: float = 0.0
     name: str = ''
     offset_s: float = 0.0
+    rivals: tuple[Cause, ...] = ()
+
+    @property
+    def fits(self) -> bool:
+        """Whether the residuals are noise."""
+        return linear(self.motion).quiet
 
     @property
     def late(self) -> dict[str, Estimate]:
@@ -100,8 +113,7 @@ class Cause:
         if self.kind not in ('clock', 'clocks'):
             return {}
         late_s = {self.stream: self.value}
-        if self.kind == 'clocks':
-            late_s[JOINTS] = self.offset_s
+        late_s |= {JOINTS: self.offset_s} if self.kind == 'clocks' else {}
         found = linear(self.motion)
         known = {ODOMETRY: found.odometry_clock_s}
         return {
@@ -110,31 +122,17 @@ class Cause:
         }
 
 
-@dataclass(frozen=True)
-class Verdict:
-    """
-    Result of the comparison.
-
-    `cause` is the likeliest fault, of kind ``none`` if there is none or none is certain; `rivals`
-    are as likely; `fits` is whether the residuals without `cause` are noise.
-    """
-
-    cause: Cause
-    rivals: tuple[Cause, ...]
-    fits: bool
-
-
 def verdict(
     motion: Motion,
     joints: Mapping[str, Track] | None = None,
     by_twist: Track | None = None,
-    clocks: Mapping[str, Iterable[Clock]] | None = None,
-) -> Verdict:
+    offsets: Mapping[str, Sequence[float]] | None = None,
+) -> Cause:
     """
-    Find the likeliest single fault.
+    Find the likeliest single fault, of kind ``none`` if there is none or none is certain.
 
     `joints` are other joints that could be the pan, `by_twist` is odometry integrated from its
-    twists, and `clocks` are start values of the clocks of streams, by stamps and times of
+    twists, and `offsets` are start values of the clocks of streams, s, by stamps and times of
     recording.
     """
     none = _cause(IMAGES, 'none', motion, 0)
@@ -143,51 +141,32 @@ def verdict(
         found.append(_cause(JOINTS, 'joint', replace(motion, pan=track), 1, name=name))
     if by_twist is not None:
         found.append(_cause(ODOMETRY, 'twist', replace(motion, odometry=by_twist), 1))
-    found += _others(motion)
-    found += _scales(motion)
-    found += _clocks(motion, clocks or {})
-    best = max(found, key=lambda cause: cause.score)
-    if best.score < none.score + CERTAIN or not linear(best.motion).quiet:
-        best = none
-    alike = [c for c in found if c.score > best.score - ALIKE]
-    offsets = [cause for cause in found if cause.kind == 'clock' and linear(cause.motion).quiet]
-
-    def likeliest(causes: Iterable[Cause], best: Cause) -> Cause:
-        scores = [(_with_odometry(cause, best.score), cause) for cause in causes]
-        enough = [one for one in scores if one[0] > best.score - ALIKE]
-        return max(enough, key=lambda one: one[0], default=(0.0, best))[1]
-
-    if best.kind in CLOCKS:
-        # Two parameters have to explain the data better than one, beyond doubt.
-        best = likeliest(offsets, best)
-    delayed = (IMAGES, *CLOCKS), (JOINTS, 'filter')
-    if any(best.stream == stream and best.kind in kinds for stream, *kinds in delayed):
-        # All delay the pan against the images; robot.yaml expects it of the clock of the joints.
-        best = likeliest((c for c in offsets if c.stream == JOINTS), best)
+    found += [*_others(motion), *_scales(motion), *_clocks(motion, offsets or {})]
+    top = max(found, key=lambda cause: cause.score)
+    alike = [cause for cause in found if cause.score > top.score - ALIKE]
+    best = none
+    if top.score > none.score + CERTAIN:
+        best = max(
+            found, key=lambda cause: cause.score - _RARE.get((cause.stream, cause.kind), 0.0)
+        )
+    if best.kind == 'clocks' and abs(best.value) < _USUAL_S:
+        # The odometry is as usual: the joints are late.
+        best = next(c for c in found if (c.stream, c.kind) == (JOINTS, 'clock'))
+    best = best if best.fits else none
     best = _polished(best)
     # Faults of one clock are not different ones.
     fault = best.stream, best.kind in CLOCKS
     # Nor are two, one of which is off by nothing, another one than the other.
     no_rival = {'none', 'clocks' if best.kind == 'clock' else ''}
     rivals = [c for c in alike if c.kind not in no_rival and (c.stream, c.kind in CLOCKS) != fault]
-    rivals = [] if best.kind == 'none' else rivals
-    return Verdict(best, tuple(rivals), linear(best.motion).quiet)
+    return replace(best, rivals=() if best.kind == 'none' else tuple(rivals))
 
 
-def _with_odometry(cause: Cause, most: float) -> float:
-    """Score, up to `most`, if odometry has a usual clock error beside joints that are late."""
-    if cause.stream != JOINTS or cause.motion.odometry is None:
-        return cause.score
-    off, sigma = linear(cause.motion).odometry_clock_s
-    better = min(most, cause.score + 0.5 * (off / sigma) ** 2)
-    return max(cause.score, better - 0.5 * off**2 / (sigma**2 + _ODOMETRY_S**2))
-
-
-def late_odometry(motion: Motion, hints: Iterable[Clock]) -> float:
+def late_odometry(motion: Motion, hints: Sequence[float]) -> float:
     """Delay of the stamps of odometry, s: another than given only if it is certain."""
-    now = _clock_cause(motion, ODOMETRY, 'clock', motion.odometry_clock)
-    found = _polished(_offset(motion, ODOMETRY, _first_offset(motion, ODOMETRY, list(hints))))
-    return found.value if found.score > now.score + CERTAIN else now.value
+    now, now_s = _cause(ODOMETRY, 'none', motion, 1), motion.odometry_clock.offset_s
+    found = _polished(_offset(motion, ODOMETRY, _best_offset(motion, ODOMETRY, hints)))
+    return found.value if found.score > now.score + CERTAIN else now_s
 
 
 def _polished(cause: Cause) -> Cause:
@@ -204,8 +183,7 @@ def _polished(cause: Cause) -> Cause:
         if cause.kind == 'clocks':
             cause = _two_clocks(motion, pan, odometry)
         else:
-            clock = odometry if cause.stream == ODOMETRY else pan
-            cause = _clock_cause(motion, cause.stream, 'clock', clock)
+            cause = _clocked(motion, cause.stream, odometry if cause.stream == ODOMETRY else pan)
     return cause
 
 
@@ -235,15 +213,13 @@ def _along(motion: Motion) -> float:
     return -0.5 * (FREEDOM + 1.0) * float(np.sum(np.log1p((off / _ALONG_RAD) ** 2 / FREEDOM)))
 
 
-def _likeliest(make: Callable[[float], Cause], first: float, reach: float) -> Cause:
-    """Find the cause with the likeliest value within `reach` of `first`."""
-
-    def badness(value: float) -> float:
-        return -make(float(value)).score
-
-    bounds = first - reach, first + reach
-    found = minimize_scalar(badness, bounds=bounds, method='bounded', options={'xatol': 1e-4})
-    return make(float(found.x))
+def _likeliest(make: Callable[..., Cause], first: Sequence[float], *steps: float) -> Cause:
+    """Find the cause with the likeliest values near the first ones."""
+    start = np.array(first)
+    simplex = start + np.vstack([np.zeros(len(start)), np.diag(steps)])
+    enough = {'initial_simplex': simplex, 'xatol': 1e-4, 'fatol': 1e-2, 'maxfev': 120}
+    best = minimize(lambda x: -make(*x).score, start, method='Nelder-Mead', options=enough)
+    return make(*best.x.tolist())
 
 
 def _others(motion: Motion) -> Iterator[Cause]:
@@ -265,106 +241,97 @@ def _others(motion: Motion) -> Iterator[Cause]:
     def again(**change: float) -> Motion:
         return replace(motion, odometry=driven_again(odometry, **change))
 
+    def tried(stream: str, kind: str, reach: float, change: Callable[[float], Motion]) -> Cause:
+        def make(value: float) -> Cause:
+            return _cause(stream, kind, change(float(value)), 1, float(value))
+
+        first = max(map(make, reach * _GRID), key=lambda cause: cause.score)
+        return _likeliest(make, [first.value], 0.05 * reach)
+
     # The pan before a filter of the first order.
-    def unfiltered(value: float) -> Motion:
-        return replace(motion, pan=replace(pan, values=pan.values + value * rate))
-
-    yield _best(JOINTS, 'filter', unfiltered, 1.0)
-    yield _best(ODOMETRY, 'bias', lambda value: again(bias_rad_s=value), 1.0)
-    yield _best(ODOMETRY, 'curve', lambda value: again(curve_rad_m=value), 3.0)
-    yield _best(MOUNT, 'ahead', lambda value: replace(motion, axis_xy=(x + value, y)), 2.0)
-    yield _best(MOUNT, 'left', lambda value: replace(motion, axis_xy=(x, y + value)), 2.0)
-    yield _best(MOUNT, 'offset', lambda v: replace(motion, offset_xy=(ahead + v, left)), 1.0)
-
-
-def _best(stream: str, kind: str, change: Callable[[float], Motion], reach: float) -> Cause:
-    """Find the likeliest value of an error of a single number within +-`reach`."""
-
-    def make(value: float) -> Cause:
-        return _cause(stream, kind, change(value), 1, value)
-
-    grid = reach * _GRID
-    first = max((make(value) for value in grid.tolist()), key=lambda cause: cause.score)
-    return _likeliest(make, first.value, float(grid[1] - grid[0]))
+    filtered = 1.0, lambda v: replace(motion, pan=replace(pan, values=pan.values + v * rate))
+    yield tried(JOINTS, 'filter', *filtered)
+    yield tried(ODOMETRY, 'bias', 1.0, lambda v: again(bias_rad_s=v))
+    yield tried(ODOMETRY, 'curve', 3.0, lambda v: again(curve_rad_m=v))
+    yield tried(MOUNT, 'ahead', 2.0, lambda v: replace(motion, axis_xy=(x + v, y)))
+    yield tried(MOUNT, 'left', 2.0, lambda v: replace(motion, axis_xy=(x, y + v)))
+    yield tried(MOUNT, 'offset', 1.0, lambda v: replace(motion, offset_xy=(ahead + v, left)))
 
 
 def _scales(motion: Motion) -> Iterator[Cause]:
     """Yield wrong scales and signs of pan, of yaw, and of both, which is that of the lens."""
     panned, yawed, turns = motion.panned(), motion.yawed(), motion.turns_rad
+    odometry, parallax = motion.odometry, motion.parallax()
     for stream, factor, rest in (
-        (JOINTS, panned, yawed),
-        (ODOMETRY, yawed, panned),
-        (IMAGES, panned + yawed, np.zeros_like(turns)),
+        (JOINTS, panned, turns - yawed),
+        (ODOMETRY, yawed, turns - panned),
+        (IMAGES, panned + yawed, turns),
     ):
-        if np.abs(factor).max(initial=0.0) < 1e-6:
+        # Without odometry, the scale of the lens is that of the pan.
+        if np.abs(factor).max(initial=0.0) < 1e-6 or (odometry is None and stream != JOINTS):
             continue
-        if stream == IMAGES and motion.odometry is None:
-            continue  # the same as the scale of the pan
-        least = float((factor @ (turns - rest)) / (factor @ factor))
+        least = float((factor @ rest) / (factor @ factor))
         # Very different units, such as ticks, show only in the magnitudes.
-        ratio = float(np.median(np.abs(turns - rest)) / max(np.median(np.abs(factor)), 1e-12))
+        ratio = float(np.median(np.abs(rest)) / max(np.median(np.abs(factor)), 1e-12))
         tried = np.array([*_SCALES, least, ratio, -ratio])
-        left = (turns - rest - tried[:, None] * factor) / _FIRST_NOISE_RAD
+        left = (rest - tried[:, None] * factor) / _FIRST_NOISE_RAD
         scale = float(tried[np.argmin(np.log1p(left**2).sum(1))])
-        parallax = motion.parallax()
         for _ in range(3):
-            near = fit(turns - rest - scale * factor, np.column_stack([factor, parallax]))
+            near = fit(rest - scale * factor, np.column_stack([factor, parallax]))
             scale += float(near.values[0])
-        if stream == IMAGES:
-            # Another lens, or a mirror image; larger factors are not from the camera.
-            if 1.0 / _LENS < abs(scale) < _LENS:
-                cause = _cause(stream, 'scale', replace(motion, turns_rad=turns / scale), 1, scale)
-                # The likelihood refers to the measured turns, as for all others.
-                yield replace(cause, score=cause.score - len(motion) * float(np.log(abs(scale))))
-        elif stream == JOINTS:
-            changed = replace(motion, pan_scale=motion.pan_scale * scale)
-            yield _cause(stream, 'scale', changed, 1, scale)
-        elif motion.odometry is not None:
-            changed = replace(motion, yaw_scale=motion.yaw_scale * scale)
-            yield _cause(stream, 'scale', changed, 1, scale)
+        if stream == JOINTS:
+            yield _cause(stream, 'scale', replace(motion, pan_scale=scale), 1, scale)
+        elif stream == ODOMETRY and odometry is not None:
+            yield _cause(stream, 'scale', replace(motion, yaw_scale=scale), 1, scale)
             # The path may have been integrated with the wrong yaw.
             for value in (scale, float(np.sign(scale))):
-                track = driven_again(motion.odometry, yaw_scale=value)
+                track = driven_again(odometry, yaw_scale=value)
                 yield _cause(stream, 'scale', replace(motion, odometry=track), 1, value)
+        elif 1.0 / _LENS < abs(scale) < _LENS:
+            # Another lens, or a mirror image; larger factors are not from the camera.
+            cause = _cause(stream, 'scale', replace(motion, turns_rad=turns / scale), 1, scale)
+            # The likelihood refers to the measured turns, as for all others.
+            yield replace(cause, score=cause.score - len(motion) * float(np.log(abs(scale))))
 
 
-def _clocks(motion: Motion, hints: Mapping[str, Iterable[Clock]]) -> Iterator[Cause]:
-    few = motion
-    of_joints: list[Clock] = []
-    if len(motion) > _PAIRS:
-        chosen = np.zeros(len(motion), dtype=np.bool_)
-        chosen[np.linspace(0, len(motion) - 1, _PAIRS).astype(np.intp)] = True
-        few = motion.only(chosen)
+def _clocks(motion: Motion, hints: Mapping[str, Sequence[float]]) -> Iterator[Cause]:
+    few = motion.only(np.linspace(0, len(motion) - 1, min(_PAIRS, len(motion))).astype(np.intp))
+    begin, middle = float(motion.before_s.min()), float(np.mean(motion.before_s))
+    span = max(float(np.ptp(motion.before_s)), 1.0)
     for stream in (JOINTS, ODOMETRY, IMAGES):
         if motion.odometry is None and stream != JOINTS:
             continue
-        hinted = list(hints.get(stream, ()))
-        for found in (
-            _offset(motion, stream, _first_offset(few, stream, hinted)),
-            _drift(motion, stream, _first_drift(few, stream, hinted)),
-        ):
+        hinted = hints.get(stream, ())
+        offset = _offset(motion, stream, _best_offset(few, stream, hinted))
+        starts = {0.0, *hinted}
+        grid = [(Clock(s, d, begin), _NEAR[::7]) for d in _DRIFTS for s in starts]
+        first = _best_of(few, stream, grid)
+
+        def drifted(offset_s: float, drift: float, of: str = stream, at: Clock = first) -> Cause:
+            return _clocked(motion, of, replace(at, offset_s=offset_s, drift=drift))
+
+        drift = _likeliest(drifted, [first.offset_s, first.drift], 0.1, 0.1 / span)
+        if abs(drift.value) * span < _LEAST_DRIFT_S:
+            _, clock = drift.motion.stream(ODOMETRY if stream == ODOMETRY else JOINTS)
+            drift = _offset(motion, stream, Clock(float(clock.at(np.array(middle))) - middle))
+        for found in (offset, drift):
             # Implausible: the clock hardly runs, or other streams have no messages at these times.
             streams = (JOINTS, ODOMETRY)
             runs = all(found.motion.stream(name)[1].drift > _SLOWEST for name in streams)
             if runs and min(map(found.motion.covered, streams)) > _LEAST_COVERED:
                 yield found
-                if (found.stream, found.kind) == (JOINTS, 'clock'):
-                    of_joints.append(found.motion.pan_clock)
+                if found.kind == 'clock' and stream == JOINTS and motion.odometry is not None:
+                    # Joints are often a little late; that must not hide a fault of odometry.
+                    yield _both(motion, few, found.motion.pan_clock, hints.get(ODOMETRY, ()))
         yield _step(motion, stream)
-    # Joints are often a little late; that must not hide, or look like, a fault of odometry.
-    for pan in of_joints if motion.odometry is not None else ():
-        yield _both(motion, few, pan, list(hints.get(ODOMETRY, ())))
 
 
-def _both(motion: Motion, few: Motion, pan: Clock, hinted: list[Clock]) -> Cause:
-    """Find the likeliest clocks of joints and odometry, one in turn given the other."""
-    odometry = _first_offset(replace(few, pan_clock=pan), ODOMETRY, hinted)
-    for _ in range(_TURNS):
-        given = replace(motion, pan_clock=pan)
-        odometry = _offset(given, ODOMETRY, odometry).motion.odometry_clock
-        given = replace(motion, odometry_clock=odometry)
-        pan = _offset(given, JOINTS, pan).motion.pan_clock
-    return _two_clocks(motion, pan, odometry)
+def _both(motion: Motion, few: Motion, pan: Clock, hinted: Sequence[float]) -> Cause:
+    """Find the likeliest clocks of joints and odometry, from the one of the joints."""
+    odometry = _best_offset(replace(few, pan_clock=pan), ODOMETRY, hinted)
+    return _likeliest(
+        lambda a, b: _two_clocks(motion, pan.later(a), odometry.later(b)), [0.0, 0.0], 0.05, 0.05
+    )
 
 
 def _two_clocks(motion: Motion, pan: Clock, odometry: Clock) -> Cause:
@@ -373,16 +340,17 @@ def _two_clocks(motion: Motion, pan: Clock, odometry: Clock) -> Cause:
     return _cause(ODOMETRY, 'clocks', changed, 2, value, offset_s=offset_s)
 
 
-def _clock_cause(motion: Motion, stream: str, kind: str, clock: Clock) -> Cause:
+def _clocked(motion: Motion, stream: str, clock: Clock) -> Cause:
     """Return the cause that a stream has a clock; late images are the others that are early."""
     sign = -1.0 if stream == IMAGES else 1.0
-    value, offset_s = {
-        'clock': (clock.offset_s, sign * clock.offset_s),
-        'drift': (clock.drift, sign * clock.offset_s),
-        'step': (clock.step_s, clock.step_at_s),
-    }[kind]
-    changed, parameters = _with_clock(motion, stream, clock), 1 if kind == 'clock' else 2
-    return _cause(stream, kind, changed, parameters, sign * value, offset_s=offset_s)
+    changed = _with_clock(motion, stream, clock)
+    if clock.step_s:
+        value = sign * clock.step_s
+        return _cause(stream, 'step', changed, 2, value, offset_s=clock.step_at_s)
+    offset_s = sign * clock.offset_s
+    if clock.drift:
+        return _cause(stream, 'drift', changed, 2, sign * clock.drift, offset_s=offset_s)
+    return _cause(stream, 'clock', changed, 1, offset_s, offset_s=offset_s)
 
 
 def _with_clock(motion: Motion, stream: str, clock: Clock) -> Motion:
@@ -397,29 +365,16 @@ def _misfit(motion: Motion, stream: str, clocks: Clock) -> FloatArray:
     return np.asarray(np.log1p((left / _FIRST_NOISE_RAD) ** 2))
 
 
-def _first_offset(motion: Motion, stream: str, hinted: list[Clock]) -> Clock:
+def _best_offset(motion: Motion, stream: str, hinted: Sequence[float]) -> Clock:
     """Return the best offset of a coarse search around the hints and around no offset."""
     reach = min(float(motion.after_s.max() - motion.before_s.min()), _FAR_S)
     far = np.arange(-reach, reach, _FAR_STEP_S)
-    grids = [(Clock(h.offset_s), _NEAR) for h in hinted] + [(Clock(), _NEAR), (Clock(), far)]
-    if hinted:
-        grids.append((Clock(hinted[0].offset_s), far))
-    return _best_offset(motion, stream, grids)
+    offsets = [*map(Clock, hinted), Clock()]
+    grids = [(clock, _NEAR) for clock in offsets]
+    return _best_of(motion, stream, [*grids, (offsets[0], far), (Clock(), far)])
 
 
-def _first_drift(motion: Motion, stream: str, hinted: list[Clock]) -> Clock:
-    """Return the best of drifting clocks, those of the hints and a grid, with a near offset."""
-    begin, few = float(motion.before_s.min()), _NEAR[:: max(1, len(_NEAR) // 40)]
-    drifting = [h for h in hinted if h.drift] + [Clock(0.0, d, begin) for d in _DRIFTS.tolist()]
-    grids = [
-        (replace(base, offset_s=start), few)
-        for base in drifting
-        for start in {base.offset_s, *(h.offset_s for h in hinted)}
-    ]
-    return _best_offset(motion, stream, grids)
-
-
-def _best_offset(motion: Motion, stream: str, grids: list[tuple[Clock, FloatArray]]) -> Clock:
+def _best_of(motion: Motion, stream: str, grids: list[tuple[Clock, FloatArray]]) -> Clock:
     """Clock with the least misfit, of clocks with grids of offsets on top of them."""
     least, found = np.inf, Clock()
     for base, grid in grids:
@@ -432,32 +387,13 @@ def _best_offset(motion: Motion, stream: str, grids: list[tuple[Clock, FloatArra
 
 
 def _offset(motion: Motion, stream: str, first: Clock) -> Cause:
-    """Find the likeliest clock with another offset than `first`."""
+    """Find the likeliest clock with another offset than `first`, within two steps of it."""
 
-    def make(later: float) -> Cause:
-        return _clock_cause(motion, stream, 'clock', first.later(later))
+    def make(later_s: float) -> Cause:
+        near_s = float(np.clip(later_s, -2.0 * _FAR_STEP_S, 2.0 * _FAR_STEP_S))
+        return _clocked(motion, stream, first.later(near_s))
 
-    return _likeliest(make, 0.0, 2.0 * _FAR_STEP_S)
-
-
-def _drift(motion: Motion, stream: str, first: Clock) -> Cause:
-    """Find the likeliest clock with another offset and drift than `first`."""
-    span = max(float(np.ptp(motion.before_s)), 1.0)
-
-    def make(change: FloatArray) -> Cause:
-        later, drift = change.tolist()
-        return _clock_cause(motion, stream, 'drift', replace(first.later(later), drift=drift))
-
-    start = np.array([0.0, first.drift])
-    simplex = start + np.array([[0.0, 0.0], [0.1, 0.0], [0.0, 0.1 / span]])
-    enough = {'initial_simplex': simplex, 'xatol': 1e-4, 'maxfev': 120}
-    best = minimize(lambda x: -make(x).score, start, method='Nelder-Mead', options=enough)
-    found = make(best.x)
-    if abs(found.value) * span < _LEAST_DRIFT_S:
-        middle = float(np.mean(motion.before_s))
-        _, clock = found.motion.stream(ODOMETRY if stream == ODOMETRY else JOINTS)
-        return _offset(motion, stream, Clock(float(clock.at(np.array(middle))) - middle))
-    return found
+    return _likeliest(make, [0.0], _FAR_STEP_S)
 
 
 def _step(motion: Motion, stream: str) -> Cause:
@@ -477,6 +413,6 @@ def _step(motion: Motion, stream: str) -> Cause:
 
     def make(step_s: float) -> Cause:
         clock = Clock(0.0 if late else step_s, 0.0, 0.0, step_s if late else -step_s, moment)
-        return _clock_cause(motion, stream, 'step', clock)
+        return _clocked(motion, stream, clock)
 
-    return _likeliest(make, float(_NEAR[offset]), 2.0 * _NEAR_STEP_S)
+    return _likeliest(make, [float(_NEAR[offset])], _NEAR_STEP_S)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from functools import partial
 
@@ -11,12 +12,17 @@ from landmark_nav.calibration import Calibration
 from landmark_nav.diagnosis.advice import camera_finding, cause_findings, motion_findings
 from landmark_nav.diagnosis.causes import verdict
 from landmark_nav.diagnosis.drives import DriveChecks, THOROUGH
-from landmark_nav.diagnosis.findings import Delays, Diagnosis, Finding
+from landmark_nav.diagnosis.findings import Code, Delays, Diagnosis, Finding
 from landmark_nav.diagnosis.looks import look_corrected, Looks
 from landmark_nav.diagnosis.motion import LEAST_PAIRS, linear, Motion, Track
 from landmark_nav.diagnosis.parts import check_content, moved_between
-from landmark_nav.diagnosis.stamps import check_recording, check_stamps
-from landmark_nav.diagnosis.streams import pan_stream, read_stream, unwrapped
+from landmark_nav.diagnosis.streams import (
+    check_recording,
+    check_stamps,
+    pan_stream,
+    read_stream,
+    unwrapped,
+)
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
@@ -25,6 +31,8 @@ from landmark_nav.storage.bags import Bag, read_sweeps
 from landmark_nav.storage.bags.definitions import DRIVE_IMAGES, SWEEP_IMAGES
 from landmark_nav.storage.bags.sweeps import measured_pans
 
+# Number of images that `learn` and `evaluate` decode at their start.
+QUICK = 60
 # Greatest factor of focal length or pan that calibration corrects in a sweep; its logarithm is the
 # bound of angles, rad.
 _CALIBRATED = 1.2
@@ -38,7 +46,7 @@ _INFOS = ('sweep/camera_info', 'camera/camera_info')
 def check_sweeps(bag: Bag, images: str, known: Calibration, most_images: int) -> list[Finding]:
     """Check the sweeps of a bag with at most `most_images` decoded images of a topic."""
     looks, error = look_corrected(bag, images, _INFOS, known, most_images)
-    found, mount = [], known.mount
+    found, mount = list[Finding](), known.mount
     if error is not None:
         found, mount = [camera_finding(error)], error.setup.mount
         if abs(error.value) < np.log(_CALIBRATED):
@@ -58,27 +66,24 @@ def check_sweeps(bag: Bag, images: str, known: Calibration, most_images: int) ->
     if slopes.fits:
         found += moved_between(motion, partial(_motion, looks, pan, *range(2, _WIDEST + 1)))
     else:
-        judged = verdict(motion)
-        each = _each(motion) if judged.cause.kind == 'none' else []
-        found += each or [_learned(finding) for finding in cause_findings(judged)]
-        slopes = linear(judged.cause.motion)
+        cause = verdict(motion)
+        each = [*_each(motion)] if cause.kind == 'none' else []
+        found += each or [_learned(finding) for finding in cause_findings(cause)]
+        slopes = linear(cause.motion)
     return [*found, *motion_findings(motion, slopes, None)[:1]]
 
 
-def _each(motion: Motion) -> list[Finding]:
+def _each(motion: Motion) -> Iterator[Finding]:
     """Find faults of single sweeps if no fault is common to all."""
     pauses = motion.before_s[1:] - motion.after_s[:-1]
     usual = float(np.median(motion.after_s - motion.before_s))
     begins = np.flatnonzero(pauses > _PAUSE * usual) + 1
     parts = np.split(np.arange(len(motion)), begins)
-    found = []
     for k, part in enumerate(parts if len(parts) > 1 else (), start=1):
-        sweep = motion.only(np.isin(np.arange(len(motion)), part))
-        if len(part) < LEAST_PAIRS or linear(sweep).fits:
-            continue
-        for finding in cause_findings(verdict(sweep)):
-            found.append(replace(finding, measured=f'sweep {k}: {finding.measured}'))
-    return found
+        sweep = motion.only(part)
+        if len(part) >= LEAST_PAIRS and not linear(sweep).fits:
+            for finding in cause_findings(verdict(sweep)):
+                yield replace(finding, measured=f'sweep {k}: {finding.measured}')
 
 
 def _motion(looks: Looks, pan: Track, *apart: int) -> Motion:
@@ -113,10 +118,6 @@ def _learned(finding: Finding) -> Finding:
     return replace(finding, level='warning') if calibrated else finding
 
 
-# Number of images that `learn` and `evaluate` decode at their start.
-QUICK = 60
-
-
 def diagnose(
     bag: Bag, known: Calibration, room: Room | None = None, most_images: int = THOROUGH
 ) -> Diagnosis:
@@ -131,17 +132,14 @@ def diagnose(
     bag = bag.warning_to(lambda text: described.update({text: None}))
     if (disorder := check_recording(bag.stamps_ns)) is not None:
         return Diagnosis((disorder,))
-    found: list[Finding] = []
-    delays = Delays()
+    found, delays = list[Finding](), Delays()
     images, sweeps = bag.find(*DRIVE_IMAGES), bag.find(*SWEEP_IMAGES)
     if images:
         diagnosis = DriveChecks(bag, images, known, room).diagnosis(most_images)
-        found += diagnosis.findings
-        delays = diagnosis.delays
+        found, delays = [*diagnosis.findings], diagnosis.delays
     elif bag.find('detections'):
         for name in ('detections', 'odom'):
-            topic = bag.find(name)
-            if topic:
+            if topic := bag.find(name):
                 found += check_stamps(read_stream(bag, name, topic))
     if sweeps:
         checked = check_sweeps(bag, sweeps, known, most_images)
@@ -150,9 +148,8 @@ def diagnose(
         found += checked
     if not found:
         bag.require(*DRIVE_IMAGES, *SWEEP_IMAGES)
-    for text in described:
-        line = text.replace(f'{bag.path}: ', '')
-        found.append(Finding('reading', 'warning', line, when_read=True))
+    lines = [text.replace(f'{bag.path}: ', '') for text in described]
+    found += [Code.READING.found(line) for line in lines]
     return Diagnosis(tuple(found), delays)
 
 
@@ -163,20 +160,16 @@ def check_papers(bag: Bag, known: Calibration, room: Room) -> list[Finding]:
         return found
     sweeps = read_sweeps(bag, known.mount)
     while True:
-        kind = 'papers' if room.papers else 'markers'
-        name = f'{kind}, sweep {len(found) + 1}'
+        name = f'{"papers" if room.papers else "markers"}, sweep {len(found) + 1}'
         try:
-            sweep = next(sweeps, None)
-            if sweep is None:
+            if (sweep := next(sweeps, None)) is None:
                 return found
             axis = panorama_from_sweep(sweep, room, known).axis
         except LandmarkNavError as error:
             text = str(error).removeprefix(f'{bag.path}: ')
-            found.append(Finding(name, 'error', text))
+            found.append(Code.NOT_PLACED.found(name, text))
             continue
         x, y, heading = axis.pose.tolist()
-        sigma = 1e3 * float(np.sqrt(np.trace(axis.covariance[:2, :2])))
-        text = f'pan axis at ({x:.2f}, {y:.2f}) m, {np.degrees(heading):.1f} deg'
-        text += f' (sigma {sigma:.0f} mm)'
-        values = {'pose': [x, y, heading], 'sigma_m': 1e-3 * sigma}
-        found.append(Finding(name, 'ok', text, '', values))
+        sigma_m = float(np.sqrt(np.trace(axis.covariance[:2, :2])))
+        words = name, x, y, np.degrees(heading), 1e3 * sigma_m
+        found.append(Code.PLACED.found(*words, pose=[x, y, heading], sigma_m=sigma_m))

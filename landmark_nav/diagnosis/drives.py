@@ -11,34 +11,31 @@ import numpy as np
 
 from landmark_nav.arrays import FloatArray, IndexArray
 from landmark_nav.calibration import Calibration
-from landmark_nav.diagnosis import advice, parts, stamps
+from landmark_nav.diagnosis import advice, parts
 from landmark_nav.diagnosis.causes import late_odometry, verdict
-from landmark_nav.diagnosis.findings import Delays, Diagnosis, Finding
+from landmark_nav.diagnosis.findings import Code, Delays, Diagnosis, Finding
 from landmark_nav.diagnosis.looks import look, look_corrected, Looks
-from landmark_nav.diagnosis.motion import (
-    Clock,
-    IMAGES,
-    JOINTS,
-    LEAST_PAIRS,
-    Linear,
-    linear,
-    Motion,
-    ODOMETRY,
-    Track,
-)
+from landmark_nav.diagnosis.motion import Clock, LEAST_PAIRS, Linear, linear, Motion, Track
 from landmark_nav.diagnosis.odometry import check_jumps, check_path, check_speed, check_twist
 from landmark_nav.diagnosis.streams import (
+    by_arrival,
+    check_stamps,
+    clock_hints,
+    IMAGES,
+    in_step,
+    JOINTS,
+    lone_steps,
+    longest_part,
+    ODOMETRY,
+    one_source,
     pan_stream,
     read_joints,
     read_stream,
     Stream,
-    two_sources,
     unwrapped,
 )
 from landmark_nav.errors import LandmarkNavError
-from landmark_nav.geometry.camera import PanTiltMount
 from landmark_nav.geometry.walls import Room
-from landmark_nav.matching.strips import comparable
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag
 
@@ -58,63 +55,93 @@ _ENOUGH, _TRUTH_S = 0.8, 0.05
 # Greatest sigma of an offset by motion; above it, times of recording are used.
 _KNOWN_S = 0.1
 _INFOS = ('camera/camera_info',)
+# Columns of odometry that are angles.
+_YAW = np.array([False, False, True])
 
 # Findings, delays, and whether joints and odometry explain the motion of the images.
 _Judged = tuple[list[Finding], Delays, bool]
 
 
 class DriveChecks:
-    """Checks of the streams of a drive."""
+    """Checks of the streams of a drive, each of which is read once."""
 
     def __init__(self, bag: Bag, images: str, known: Calibration, room: Room | None) -> None:
         self._bag, self._images, self._known, self._room = bag, images, known, room
         self._mount = known.mount
-        odometry = bag.find('odom')
-        self._odometry = read_stream(bag, ODOMETRY, odometry, _odometry_of) if odometry else None
 
     def diagnosis(self, most_images: int) -> Diagnosis:
         """Check with `most_images` decoded images; with more if these show a fault."""
-        bag, images = self._bag, self._images
-        looks, error = look_corrected(bag, images, _INFOS, self._known, most_images)
-        of_camera = []
-        if error is not None:
-            # All other checks use the corrected setup.
-            self._mount, of_camera = error.setup.mount, [advice.camera_finding(error)]
+        source = self._bag, self._images, _INFOS, self._known
+        looks, error = look_corrected(*source, most_images)
+        # All other checks use the corrected setup.
+        setup = error.setup if error else None
+        self._mount = setup.mount if setup else self._mount
+        of_camera = [advice.camera_finding(error)] if error else []
         found, delays, healthy = self._judged(looks)
         if not healthy and len(looks.strips) < min(len(looks.stream), THOROUGH):
-            setup = None if error is None else error.setup
-            looks = look(bag, images, _INFOS, self._known, THOROUGH, setup)
-            found, delays, _ = self._judged(looks)
+            found, delays, _ = self._judged(look(*source, THOROUGH, setup))
         said = {finding.name for finding in of_camera}
         return Diagnosis((*of_camera, *(f for f in found if f.name not in said)), delays)
 
+    @cached_property
+    def _joints(self) -> dict[str, Stream]:
+        """Streams of all joints, by name."""
+        topic = self._bag.find(JOINTS)
+        return read_joints(self._bag, topic) if topic else {}
+
+    @cached_property
+    def _pan(self) -> tuple[Stream | None, list[Finding]]:
+        """Stream of the pan as it is read from the bag, and findings of the joints."""
+        names, name = ', '.join(self._joints), self._mount.pan_joint
+        found = [Code.JOINT_NAMES.found(names or name)]
+        try:
+            pan = pan_stream(self._bag, self._mount)
+        except LandmarkNavError as error:
+            if name not in self._joints:
+                described = str(error).removeprefix(f'{self._bag.path}: ')
+                unread = Code.NO_JOINT.found(described)
+                return None, [Code.OTHER_NAMES.found(names, name) if names else unread]
+            # The reader refuses its values; later checks find out why.
+            pan, found = self._joints[name], []
+        pan, second = one_source(pan, np.array([True]))
+        return pan, [*found, *check_stamps(pan), *second]
+
+    @cached_property
+    def _odometry(self) -> tuple[Stream | None, list[Finding]]:
+        """Odometry, and what its own values show."""
+        if (topic := self._bag.find(ODOMETRY)) is None:
+            return None, [Code.NO_ODOMETRY.found()]
+        stream, second = one_source(read_stream(self._bag, ODOMETRY, topic, _odometry_of), _YAW)
+        found = [*check_stamps(stream), *second]
+        if len(stream) > 1:
+            found += [check_speed(stream), *check_twist(stream)]
+            found += [] if second else check_jumps(stream)
+        return stream, found
+
+    def _frames(self, images: Stream) -> list[Finding]:
+        """Check the frames of odometry and images."""
+        if (odometry := self._odometry[0]) is None:
+            return []
+        base = self._mount.base_frame
+        children = {frame.partition(' -> ')[2].rpartition('/')[2] for frame in odometry.frames}
+        other = children - {'', base.rpartition('/')[2], 'base_footprint', 'base_link'}
+        code = Code.FRAMES_OTHER if other else Code.FRAMES
+        code = Code.FRAMES_SEVERAL if len(odometry.frames) > 1 else code
+        return [code.found(', '.join(odometry.frames), ', '.join(images.frames), base)]
+
     def _judged(self, looks: Looks) -> _Judged:
-        content = parts.check_content(looks)
-        found = [*stamps.check_stamps(looks.stream), *looks.findings, *content]
-        pan, by_names = self._pan()
-        found += by_names
-        odometry = self._odometry
-        if pan is not None:
-            pan, sources = _one_source(pan, (0,), 1)
-            found += [*stamps.check_stamps(pan), *sources]
-        if odometry is None:
-            found.append(Finding('odom', 'error', 'there is no odom', 'record odom'))
-        else:
-            odometry, second = _one_source(odometry, (2,), 3)
-            found += [*stamps.check_stamps(odometry), *second]
-            if len(odometry) > 1:
-                found += [check_speed(odometry), *check_twist(odometry)]
-                if not second and (jumps := check_jumps(odometry)) is not None:
-                    found.append(jumps)
-            found += _frames(odometry, looks.stream, self._mount)
+        content = [*parts.check_content(looks)]
+        (pan, of_pan), (odometry, of_odometry) = self._pan, self._odometry
+        found = [*check_stamps(looks.stream), *looks.findings, *content]
+        found += [*of_pan, *of_odometry, *self._frames(looks.stream)]
         streams = [stream for stream in (pan, odometry) if stream is not None]
         usable = all(len(s) > 1 and s.stamps_ns.any() for s in (looks.stream, *streams))
         # A constant part of the images prevents the measurement of turns.
-        covered = any(f.name == parts.COVERED and f.level == 'error' for f in content)
+        covered = any(f.name == Code.COVERED.check and f.level == 'error' for f in content)
         if pan is None or covered or not usable:
             return found, Delays(), True
-        looks = replace(looks, stream=stamps.by_arrival(looks.stream))
-        streams = [stamps.by_arrival(stream) for stream in streams]
+        looks = replace(looks, stream=by_arrival(looks.stream))
+        streams = [by_arrival(stream) for stream in streams]
         streams[1:] = map(self._by_images, streams[1:])
         return self._against_images(looks, streams, found)
 
@@ -123,40 +150,18 @@ class DriveChecks:
         late_ns = round(1e9 * self._mount.image_delay_s)
         return replace(stream, stamps_ns=stream.stamps_ns + late_ns)
 
-    @cached_property
-    def _joints(self) -> dict[str, Stream]:
-        """Streams of all joints, by name."""
-        topic = self._bag.find('joint_states')
-        return read_joints(self._bag, topic) if topic else {}
-
-    def _pan(self) -> tuple[Stream | None, list[Finding]]:
-        """Stream of the pan as it is read from the bag, and findings of the joints."""
-        names, name = ', '.join(self._joints), self._mount.pan_joint
-        try:
-            pan = pan_stream(self._bag, self._mount)
-        except LandmarkNavError as error:
-            if name in self._joints:
-                # The reader refuses its values; later checks find out why.
-                return self._joints[name], []
-            if names:
-                advice = f'set pan_joint in robot.yaml to what turns the camera, not {name}'
-                return None, [Finding('joint names', 'error', f'there are {names}', advice)]
-            described = str(error).removeprefix(f'{self._bag.path}: ')
-            return None, [Finding('joint names', 'error', described, '', {}, when_read=True)]
-        return pan, [Finding('joint names', 'ok', names or name)]
-
     def _against_images(
         self, looks: Looks, streams: Sequence[Stream], found: list[Finding]
     ) -> _Judged:
-        steps = stamps.lone_steps(looks.stream, streams)
-        large = [step for step in steps if abs(step[0]) > advice.CORRECTED_S]
-        found += [advice.step_finding(IMAGES, *step) for step in large]
-        first, last = stamps.longest_part(looks.stream)
-        streams = [stamps.in_step(stream.logged_within(first, last)) for stream in streams]
+        for step_s, at_s in lone_steps(looks.stream, streams):
+            if abs(step_s) > advice.CORRECTED_S:
+                found.append(advice.step_finding(IMAGES, step_s, at_s))
+        first, last = longest_part(looks.stream)
+        streams = [in_step(stream.logged_within(first, last)) for stream in streams]
         images = looks.stream.logged_within(first, last)
         if any(len(stream) < 2 for stream in (images, *streams)):
             return found, Delays(), True
-        hints = stamps.clock_hints(images, dict(zip((JOINTS, ODOMETRY), streams, strict=False)))
+        hints = clock_hints(images, dict(zip((JOINTS, ODOMETRY), streams, strict=False)))
         chosen = looks.pairs()
         logged, stamps_s = looks.stream.logged_ns[chosen], looks.stream.seconds[chosen]
         within = ((logged >= first) & (logged <= last)).all(1)
@@ -166,58 +171,50 @@ class DriveChecks:
             return [*found, mixed], Delays(), True
         motion = pairs.only(np.isfinite(pairs.turns_rad))
         if len(motion) < LEAST_PAIRS:
-            text = f'{len(motion)} pairs of images show how the camera turned: too few to judge'
-            found.append(Finding('image motion', 'ok', text))
+            found.append(Code.FEW_PAIRS.found(len(motion)))
             return [*found, *_clocks_by_log(motion, hints, None)], Delays(), True
-        if (repeated := parts.repeated_images(motion)) is not None:
-            finding, motion = repeated
+        frozen = False
+        for part in parts.PARTS:
+            # A pan that stops for each image repeats its values, too, but explains the images.
+            if part in parts.OF_VALUES and linear(motion).quiet:
+                continue
+            if (odd := part(motion)) is None:
+                continue
+            finding, motion = odd
             found.append(finding)
-            if finding.level == 'error':
+            still = part == parts.repeated_images and finding.level == 'error'
+            if still or len(motion) < LEAST_PAIRS:
                 return found, Delays(), False
-        # A pan that stops for each image repeats its values, too, but explains the images.
-        for part in () if linear(motion).quiet else (parts.repeated_values, parts.limited_values):
-            if (odd := part(motion)) is not None:
-                found.append(odd[0])
-                motion = odd[1]
-        if len(motion) < LEAST_PAIRS:
-            return found, Delays(), False
-        if (frozen := parts.frozen_values(motion)) is not None:
-            finding, motion = frozen
-            if finding.name.startswith(ODOMETRY):
-                found = _without(found, _OF_POSE)
-            found.append(finding)
-        slopes = linear(motion)
-        path = check_path(streams[1]) if len(streams) > 1 else None
-        if path is not None:
-            mended = replace(motion, odometry=_odometry_track(streams[1], path.mended))
+            if part == parts.frozen_values:
+                frozen = True
+                odometry = finding.name.startswith(ODOMETRY)
+                found = _without(found, _OF_POSE) if odometry else found
+        slopes, follows = linear(motion), list[str]()
+        if streams[1:] and (path := check_path(streams[1])) is not None:
+            mended = replace(motion, odometry=_odometry_track(streams[1], path[1]))
             fitting, most = linear(mended), advice.HEADING_ERROR_RAD
             if fitting.fits and not fitting.heading_rad.beyond(most, most):
-                found, motion, slopes = [path.finding, *found], mended, fitting
-            else:
-                path = None
-        if slopes.fits:
-            jumps = parts.jumping_values(motion)
-            if any(f.name == 'odom jumps' for f in found):
-                jumps = _without(jumps, ODOMETRY)
-            found += advice.motion_findings(motion, slopes, self._room) + jumps
-            found += _clocks_by_log(motion, hints, slopes)
-            if path is not None:
-                found = _without(found, _OF_PATH)
-            elif looks.view is not None and frozen is None:
-                clear = [comparable(looks.strips[k], looks.strips[n]) for k, n in chosen.tolist()]
-                clearly = pairs.only(np.array(clear, np.bool_))
-                strange = parts.strange_images(clearly, looks.view.width_rad)
-                said = {finding.name for finding in found}
-                found += [] if strange is None or strange.name in said else [strange]
-            return [*found, *self._truth(images, motion, Clock())], Delays(), True
-        return self._caused(images, streams, motion, hints, found)
+                motion, slopes, follows = mended, fitting, [*_OF_PATH]
+                found.insert(0, path[0])
+        if not slopes.fits:
+            return self._caused(images, streams, motion, hints, found)
+        jumps = list(parts.jumping_values(motion))
+        if any(f.name == 'odom jumps' for f in found):
+            jumps = _without(jumps, ODOMETRY)
+        found += [*advice.motion_findings(motion, slopes, self._room), *jumps]
+        found += _clocks_by_log(motion, hints, slopes)
+        if not follows and not frozen:
+            strange = parts.strange_images(looks, chosen, pairs)
+            found += [f for f in strange if f.name not in {each.name for each in found}]
+        found += self._truth(images, motion, Clock())
+        return _without(found, *follows), Delays(), True
 
     def _caused(
         self,
         images: Stream,
         streams: Sequence[Stream],
         motion: Motion,
-        hints: Mapping[str, Sequence[Clock]],
+        hints: Mapping[str, Sequence[float]],
         found: list[Finding],
     ) -> _Judged:
         """Find the cause why joints and odometry do not explain the motion of the images."""
@@ -226,9 +223,8 @@ class DriveChecks:
             for name, stream in self._joints.items()
             if name != self._mount.pan_joint and len(stream) > 1
         }
-        judged = verdict(motion, others, _by_twist(streams[1]) if streams[1:] else None, hints)
-        cause = judged.cause
-        found += advice.cause_findings(judged)
+        cause = verdict(motion, others, _by_twist(streams[1]) if streams[1:] else None, hints)
+        found += advice.cause_findings(cause)
         slopes = linear(cause.motion)
         if slopes.quiet:
             found += advice.motion_findings(cause.motion, slopes, self._room)
@@ -236,12 +232,10 @@ class DriveChecks:
             found += self._truth(images, cause.motion, right)
         if cause.stream == ODOMETRY and cause.kind in ('scale', 'twist'):
             # Consequences of a wrong heading are not separate faults.
-            follows = (_OF_POSE, *_OF_PATH) if cause.kind == 'scale' else _OF_PATH
-            found = _without(found, follows)
+            found = _without(found, *_OF_PATH, *([_OF_POSE] if cause.kind == 'scale' else []))
         if cause.kind == 'none':
-            if not judged.fits:
-                found = [f for s in streams if (f := parts.coarse_values(s)) is not None] or found
-            found += _clocks_by_log(motion, hints, slopes)
+            coarse = [f for s in streams for f in parts.coarse_values(s) if not cause.fits]
+            found = [*(coarse or found), *_clocks_by_log(motion, hints, slopes)]
         late = cause.late
         if not late or not all(map(advice.is_corrected, late.values())):
             return found, Delays(), False
@@ -261,20 +255,16 @@ class DriveChecks:
         truth = self._by_images(truth.logged_within(*images.logged_ns[[0, -1]].tolist()))
         if len(truth) < 2:
             return []
-        track = _odometry_track(truth, truth.values)
         # Odometry shows the turns of the base as they are, images also how near things are.
         still = Track(motion.pan.seconds, np.zeros_like(motion.pan.values))
-        known = replace(motion, turns_rad=motion.yawed(), pan=still, odometry=track)
-        known = replace(known, odometry_clock=clock, yaw_scale=1.0)
-        hints = stamps.clock_hints(images, {ODOMETRY: truth})[ODOMETRY]
+        known = replace(motion, turns_rad=motion.yawed(), pan=still, yaw_scale=1.0)
+        track = _odometry_track(truth, truth.values)
+        known = replace(known, odometry=track, odometry_clock=clock)
+        hints = clock_hints(images, {ODOMETRY: truth})[ODOMETRY]
         late = late_odometry(known, hints) - clock.offset_s
         if known.covered(ODOMETRY) < _ENOUGH:
-            late = late or hints[0].offset_s or hints[1].offset_s
-        if abs(late) < _TRUTH_S:
-            return []
-        text = f'stamped {abs(late):.2f} s {"late" if late > 0.0 else "early"} against odom'
-        advice = 'errors are measured against it: stamp it by the clock of the robot'
-        return [Finding('ground_truth clock', 'warning', text, advice, {'late_s': late})]
+            late = late or hints[0] or hints[1]
+        return [] if abs(late) < _TRUTH_S else [Code.TRUTH_CLOCK.found(late_s=late)]
 
     def _motion(self, looks: Looks, pairs: IndexArray, streams: Sequence[Stream]) -> Motion:
         sense = self._mount.pan_sense * (1.0 + self._known['pan_scale'][0])
@@ -288,7 +278,7 @@ class DriveChecks:
         return Motion(*looks.turns(pairs), pan, odometry, *levers, ahead_rad, hangs)
 
 
-def _without(found: list[Finding], names: str | tuple[str, ...]) -> list[Finding]:
+def _without(found: list[Finding], *names: str) -> list[Finding]:
     """Findings whose names do not start with any of `names`."""
     return [finding for finding in found if not finding.name.startswith(names)]
 
@@ -320,41 +310,8 @@ def _by_twist(stream: Stream) -> Track:
     return Track.of(times, np.stack([x, y, yaw], -1))
 
 
-def _one_source(
-    stream: Stream, angles: tuple[int, ...], columns: int
-) -> tuple[Stream, list[Finding]]:
-    """Return the messages of the main source of a stream, and a finding of a second one."""
-    split = two_sources(replace(stream, values=stream.values[:, :columns]), angles)
-    if split is None:
-        return stream, []
-    main, second = split
-    # A constant source is not the robot.
-    if main.stands and not second.stands:
-        main, second = second, main
-    does = 'stands still' if second.stands else 'moves otherwise'
-    text = f'two sources in turns: {main.rate_hz:.0f} Hz, and {second.rate_hz:.0f} Hz that {does}'
-    advice = f'two nodes publish {stream.topic}: stop one or remap it (ros2 topic info -v)'
-    values = {'rates_hz': [main.rate_hz, second.rate_hz], 'messages': int(second.keep.sum())}
-    found = Finding(f'{stream.name} sources', 'error', text, advice, values)
-    return stream.only(main.keep), [found]
-
-
-def _frames(odometry: Stream, images: Stream, mount: PanTiltMount) -> list[Finding]:
-    """Check the frames of odometry and images."""
-    described = f'odom: {", ".join(odometry.frames)}; images: {", ".join(images.frames)}'
-    children = {frame.partition(' -> ')[2].rpartition('/')[2] for frame in odometry.frames} - {''}
-    bases = {mount.base_frame.rpartition('/')[2], 'base_footprint', 'base_link'}
-    if len(odometry.frames) > 1:
-        advice = 'odom names several frames: two nodes may publish it'
-    elif children - bases:
-        advice = f'odom should be about {mount.base_frame} (base_frame in robot.yaml)'
-    else:
-        return [Finding('frames', 'ok', described)]
-    return [Finding('frames', 'warning', described, advice)]
-
-
 def _clocks_by_log(
-    motion: Motion, hints: Mapping[str, Sequence[Clock]], slopes: Linear | None
+    motion: Motion, hints: Mapping[str, Sequence[float]], slopes: Linear | None
 ) -> list[Finding]:
     """Find clock offsets by times of recording if motion does not show them."""
     off = {}
@@ -363,13 +320,12 @@ def _clocks_by_log(
             shown = slopes.pan_clock_s if name == JOINTS else slopes.odometry_clock_s
             if shown.sigma < _KNOWN_S:
                 continue
-        by_log, by_start = (clock.offset_s for clock in hints.get(name, (Clock(), Clock()))[:2])
+        by_log, by_start, *_ = hints.get(name, (0.0, 0.0))
         if abs(by_log) > _BY_LOG_S:
             off[name] = by_log
         elif motion.covered(name) < _COVERED:
             off[name] = by_start
-    how = ' by times of recording'
     if len(off) == 2 and np.ptp([*off.values()]) < _BY_LOG_S:
-        late = -float(np.mean([*off.values()]))
-        return [advice.clock_finding(IMAGES, late, how, corrected=False)]
+        off = {IMAGES: -float(np.mean([*off.values()]))}
+    how = ' by times of recording'
     return [advice.clock_finding(name, late, how, corrected=False) for name, late in off.items()]

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterable
-from dataclasses import dataclass
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any
 
@@ -21,14 +21,13 @@ from landmark_nav.diagnosis.camera_errors import (
     matched,
     Matches,
 )
-from landmark_nav.diagnosis.findings import Finding, Level
-from landmark_nav.diagnosis.streams import Row, row_of, Stream, stream_of
+from landmark_nav.diagnosis.findings import Code, Finding, Level
+from landmark_nav.diagnosis.streams import IMAGES, read_stream, Stream
 from landmark_nav.errors import LandmarkNavError
 from landmark_nav.geometry.camera import CameraModel
 from landmark_nav.matching.strips import Strip, StripView, without_cover
 from landmark_nav.messages import decode
 from landmark_nav.storage.bags import Bag
-from landmark_nav.storage.bags.reader import MessageFilter
 from landmark_nav.storage.bags.timelines import CameraInfos, JointHistory
 from landmark_nav.types import JointSample
 
@@ -42,7 +41,6 @@ _TRACKED = 30
 _LEAST_FOV_DEG, _MOST_FOV_DEG = 8.0, 200.0
 # Greatest relative difference of fx and fy, and of focal lengths in one recording.
 _SQUARE = 0.05
-ZOOM = 'camera zoom'
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,13 +55,13 @@ class Looks:
     """
 
     stream: Stream
-    findings: tuple[Finding, ...]
-    strips: dict[int, Strip]
-    small: dict[int, ImageArray]
-    sharpness: dict[int, float]
-    view: StripView | None
-    camera: CameraModel | None
-    points: dict[int, tuple[FloatArray, FloatArray]]
+    findings: tuple[Finding, ...] = ()
+    strips: dict[int, Strip] = field(default_factory=dict)
+    small: dict[int, ImageArray] = field(default_factory=dict)
+    sharpness: dict[int, float] = field(default_factory=dict)
+    view: StripView | None = None
+    camera: CameraModel | None = None
+    points: dict[int, tuple[FloatArray, FloatArray]] = field(default_factory=dict)
 
     def pairs(self, apart: int = 1) -> IndexArray:
         """Indices (n, 2) of images that are `apart` apart and were both decoded."""
@@ -97,65 +95,71 @@ def look(
     replaces these and what is known of the robot, and then no points are tracked.
     """
     chosen = _chosen(bag.counts[topic], most_images)
-    stamped = MessageFilter(bag, topic)
-    rows: list[Row] = []
-    failed: list[str] = []
-    kinds: dict[str, None] = {}
-    strips: dict[int, Strip] = {}
-    small: dict[int, ImageArray] = {}
-    sharpness: dict[int, float] = {}
+    # First images of pairs, spread over the recording.
+    firsts = [] if setup else [k for k in sorted(chosen) if k + 1 in chosen]
+    tracked = set(firsts[:: max(1, -(-len(firsts) // _TRACKED))])
+    strips, small = dict[int, Strip](), dict[int, ImageArray]()
+    sharpness, points = dict[int, float](), dict[int, tuple[FloatArray, FloatArray]]()
+    failed, kinds, lenses = list[str](), dict[str, None](), list[CameraModel]()
+    cameras, findings = None, list[Finding]()
     view: StripView | None = None
-    camera: CameraModel | None = None
-    lenses: list[CameraModel] = []
-    cameras, refused = None, []
+    before: Corners | None = None
+    count = 0
     try:
         cameras = CameraInfos.read(bag, *infos)
     except LandmarkNavError as error:
         text = str(error).removeprefix(f'{bag.path}: ')
-        refused.append(Finding('camera lens', 'error', text, when_read=True))
-    # First images of pairs, spread over the recording.
-    firsts = [] if setup else [k for k in sorted(chosen) if k + 1 in chosen]
-    tracked = set(firsts[:: max(1, -(-len(firsts) // _TRACKED))])
-    points: dict[int, tuple[FloatArray, FloatArray]] = {}
-    before: Corners | None = None
-    for entry in bag.messages([topic]):
-        index, row = len(rows), stamped.take(row_of, entry)
-        if row is None:
-            continue
-        rows.append(row)
-        if index not in chosen or cameras is None:
-            continue
+        findings.append(Code.NO_LENS.found(text))
+
+    def examine(message: Any, index: int) -> None:
+        nonlocal setup, view, before
+        assert cameras is not None
+        given = cameras.at(decode.stamp_ns(message.header))
+        image, seen_by = decode.camera_image(message, given, True)
+        lenses.append(seen_by)
+        image = _resampled(image, seen_by, lenses[0])
+        if view is None:
+            of_robot = known.camera(seen_by), known.mount, known['camera_tilt'][0]
+            setup = setup or CameraSetup(*of_robot)
+            view = StripView(setup.camera, setup.mount, setup.tilt_rad)
+        width, height = decode.published_size(message)
+        form = getattr(message, 'encoding', None) or getattr(message, 'format', '')
+        kinds[f'{str(form)[:40] or "unnamed"} {width} x {height}'] = None
+        strips[index] = view.strip(image)
+        small[index] = _reduced(image, _SMALL)
+        sharpness[index] = _sharpness(image)
+        if index in tracked or index - 1 in tracked:
+            now = corners(image)
+            second = index - 1 in tracked and index - 1 in strips
+            found = matched(before, now) if before is not None and second else None
+            if found is not None:
+                points[index - 1] = found
+            before = now
+
+    def take(message: Any) -> tuple[()]:
+        nonlocal count
         try:
-            image, seen_by = decode.camera_image(entry.message, cameras.at(row.stamp_ns), True)
-            lenses.append(seen_by)
-            image = _resampled(image, seen_by, lenses[0])
-            if view is None:
-                of_robot = known.camera(seen_by), known.mount, known['camera_tilt'][0]
-                used = setup or CameraSetup(*of_robot)
-                camera = used.camera
-                view = StripView(camera, used.mount, used.tilt_rad)
-            width, height = decode.published_size(entry.message)
-            form = getattr(entry.message, 'encoding', None) or getattr(entry.message, 'format', '')
-            kinds[f'{str(form)[:40] or "unnamed"} {width} x {height}'] = None
-            strips[index] = view.strip(image)
-            small[index] = _reduced(image, _SMALL)
-            sharpness[index] = _sharpness(image)
-            if index in tracked or index - 1 in tracked:
-                now = corners(image)
-                second = before is not None and index - 1 in tracked and index - 1 in strips
-                found = matched(before, now) if before is not None and second else None
-                if found is not None:
-                    points[index - 1] = found
-                before = now
+            if count in chosen and cameras is not None:
+                examine(message, count)
         except LandmarkNavError as error:
             failed.append(str(error).removeprefix(f'{bag.path}: '))
+        count += 1
+        return ()
+
+    stream = read_stream(bag, IMAGES, topic, take)
     strips = dict(zip(strips, without_cover(list(strips.values())), strict=True))
-    # In image widths: a driver may change the size.
-    focal = [lens.fx / lens.width for lens in lenses] or [1.0]
-    of_lens = *_lens(camera), *_zoom(max(focal) / min(focal))
-    findings = (*refused, *_encoding(failed, kinds, len(chosen)), *of_lens)
-    stream = stream_of(bag, 'images', topic, rows, stamped.complaints)
-    return Looks(stream, findings, strips, small, sharpness, view, camera, points)
+    findings += _encoding(failed, kinds, len(chosen))
+    camera = setup.camera if setup is not None and view is not None else None
+    findings += _lens(camera, lenses) if camera is not None else []
+    return Looks(stream, tuple(findings), strips, small, sharpness, view, camera, points)
+
+
+def _chosen(count: int, most: int) -> set[int]:
+    """Indices of the images to decode out of `count`: all, or runs of them."""
+    if count <= most:
+        return set(range(count))
+    begins = np.linspace(0, count - _RUN, max(most // _RUN, 1)).astype(np.intp)
+    return {int(begin) + k for begin in begins for k in range(_RUN)}
 
 
 def _resampled(image: ImageArray, seen_by: CameraModel, camera: CameraModel) -> ImageArray:
@@ -195,11 +199,11 @@ def look_corrected(
 ) -> tuple[Looks, CameraError | None]:
     """Examine images as `look` does; if lens or mount have an error, with the corrected setup."""
     looks = look(bag, topic, infos, known, most_images)
-    error = camera_error_of(bag, looks, known)
+    error = _camera_error(bag, looks, known)
     return (look(bag, topic, infos, known, most_images, error.setup) if error else looks), error
 
 
-def camera_error_of(bag: Bag, looks: Looks, known: Calibration) -> CameraError | None:
+def _camera_error(bag: Bag, looks: Looks, known: Calibration) -> CameraError | None:
     """Find a relevant error of lens or mount by the tracked points; None if there is none."""
     if looks.camera is None or not looks.points:
         return None
@@ -222,50 +226,29 @@ def camera_error_of(bag: Bag, looks: Looks, known: Calibration) -> CameraError |
     return camera_error(matches, CameraSetup(looks.camera, known.mount, known['camera_tilt'][0]))
 
 
-def _chosen(count: int, most: int) -> set[int]:
-    """Indices of the images to decode out of `count`: all, or runs of them."""
-    if count <= most:
-        return set(range(count))
-    runs = max(most // _RUN, 1)
-    begins = np.linspace(0, count - _RUN, runs).astype(np.intp)
-    return {int(begin) + k for begin in begins for k in range(_RUN)}
-
-
-def _encoding(failed: list[str], kinds: Collection[str], tried: int) -> Iterable[Finding]:
-    named = ', '.join(list(kinds)[:3])
+def _encoding(failed: list[str], kinds: Collection[str], tried: int) -> Iterator[Finding]:
     if failed:
         level: Level = 'error' if len(failed) == tried else 'warning'
-        text = f'{len(failed)} of {tried} cannot be used'
-        values = {'failed': len(failed), 'tried': tried}
-        yield Finding('images encoding', level, text, failed[0], values, when_read=True)
-    elif named:
-        several = len(kinds) > 1
-        advice = 'one camera must publish images of one size and encoding' if several else ''
-        yield Finding('images encoding', 'warning' if several else 'ok', named, advice)
+        counts = {'failed': len(failed), 'tried': tried}
+        yield Code.UNDECODED.at(level, failed[0], **counts)
+    elif kinds:
+        level = 'warning' if len(kinds) > 1 else 'ok'
+        yield Code.ENCODING.at(level, ', '.join(list(kinds)[:3]))
 
 
-def _zoom(zoom: float) -> Iterable[Finding]:
-    if zoom > 1.0 + _SQUARE:
-        text = f'the focal length in camera_info changes by {100.0 * (zoom - 1.0):.0f} %'
-        advice = 'publish one calibration if the lens neither zooms nor focuses'
-        yield Finding(ZOOM, 'warning', text, advice, {'zoom': zoom})
-
-
-def _lens(camera: CameraModel | None) -> Iterable[Finding]:
-    if camera is None:
-        return
+def _lens(camera: CameraModel, lenses: list[CameraModel]) -> Iterator[Finding]:
+    """Check the field of view of the camera, and whether it zooms."""
     u = np.linspace(0.0, camera.width - 1.0, 21)
     rays = camera.unproject(np.stack([u, np.full_like(u, camera.cy)], -1))
     inside = np.flatnonzero(np.isfinite(rays[:, 0]))
-    field = float(np.degrees(np.ptp(np.arctan(rays[inside[[0, -1]], 0]))))
-    text = f'{field:.0f} deg wide, f {camera.fx:.0f} px, {camera.model}'
-    level: Level = 'error'
-    if not _LEAST_FOV_DEG < field < _MOST_FOV_DEG:
-        advice = 'calibrate the camera: no lens that localization takes sees so much'
-    elif abs(camera.fy / camera.fx - 1.0) > _SQUARE:
-        level, text = 'warning', f'fy is {camera.fy:.0f} px beside an fx of {camera.fx:.0f} px'
-        advice = 'calibrate again: pixels are square, if the driver does not stretch images'
+    field_deg = float(np.degrees(np.ptp(np.arctan(rays[inside[[0, -1]], 0]))))
+    values = {'field_of_view_deg': field_deg, 'fx_px': camera.fx}
+    possible = _LEAST_FOV_DEG < field_deg < _MOST_FOV_DEG
+    if possible and abs(camera.fy / camera.fx - 1.0) > _SQUARE:
+        yield Code.NOT_SQUARE.found(camera.fy, **values)
     else:
-        level, advice = 'ok', ''
-    values = {'field_of_view_deg': field, 'fx_px': camera.fx}
-    yield Finding('camera lens', level, text, advice, values)
+        yield Code.LENS.at('ok' if possible else 'error', camera.model, **values)
+    # In image widths: a driver may change the size.
+    focal = [lens.fx / lens.width for lens in lenses]
+    if (zoom := max(focal) / min(focal)) > 1.0 + _SQUARE:
+        yield Code.ZOOM.found(100.0 * (zoom - 1.0), zoom=zoom)

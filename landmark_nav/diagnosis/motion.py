@@ -18,15 +18,19 @@ Student's t, as turns by images have outliers (Lange, Little, Taylor, J. Am. Sta
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
-from landmark_nav.arrays import BoolArray, FloatArray
+from landmark_nav.arrays import FloatArray
+from landmark_nav.diagnosis.streams import JOINTS, ODOMETRY
 
-# Streams that may be at fault.
-IMAGES, JOINTS, ODOMETRY, MOUNT = 'images', 'joint_states', 'odom', 'pan_axis'
+ComplexArray = npt.NDArray[np.complex128]
+
+# What may be at fault beside the streams.
+MOUNT = 'pan_axis'
 # Degrees of freedom of Student's t.
 FREEDOM = 3.0
 # Least number of pairs of images from which motion is judged.
@@ -167,8 +171,8 @@ class Motion:
     def __len__(self) -> int:
         return len(self.turns_rad)
 
-    def only(self, chosen: BoolArray) -> Motion:
-        """Return the pairs selected by a mask (n,)."""
+    def only(self, chosen: Any) -> Motion:
+        """Return the pairs selected by an index or a mask (n,)."""
         return replace(
             self,
             before_s=self.before_s[chosen],
@@ -195,22 +199,18 @@ class Motion:
         track, clock = self.stream(name)
         if track is None or not len(self):
             return 1.0
-        inside = clock.at(self.before_s) > track.seconds[0] - _LEEWAY_S
-        inside &= clock.at(self.after_s) < track.seconds[-1] + _LEEWAY_S
+        before, after = clock.at(self._times)
+        inside = before > track.seconds[0] - _LEEWAY_S
+        inside &= after < track.seconds[-1] + _LEEWAY_S
         return float(np.mean(inside))
 
     def panned(self) -> FloatArray:
         """Turns by the joints, (n,)."""
-        times = self.pan_clock.at(np.stack([self.before_s, self.after_s]))
-        pans = self.pan.at(times)[..., 0]
-        return np.asarray(self.pan_scale * np.diff(pans, axis=-2)[..., 0, :])
+        return np.asarray(np.diff(self._pans(self._times), axis=-2)[..., 0, :])
 
     def yawed(self) -> FloatArray:
         """Turns by the odometry, (n,)."""
-        if self.odometry is None:
-            return np.zeros(len(self))
-        yaws = np.interp(self._odometry_times(), self.odometry.seconds, self.odometry.values[:, 2])
-        return np.asarray(self.yaw_scale * np.diff(yaws, axis=-2)[..., 0, :])
+        return np.asarray(np.diff(self._yaws(), axis=-2)[..., 0, :])
 
     def parallax(self) -> FloatArray:
         """
@@ -221,11 +221,13 @@ class Motion:
         """
         if self.odometry is None:
             return np.zeros((len(self), 2))
-        before, after = self.odometry.at(self._odometry_times())
-        moved = after[:, :2] - before[:, :2] + self._carried(self.axis_xy)
-        if any(self.offset_xy):
-            moved += self._carried(self.offset_xy, with_pan=True)
-        return self._seen(moved)
+        x, y, _ = self.odometry.at(self.odometry_clock.at(self._times)).T
+        seen = self._seen(np.diff(x + 1j * y, axis=1)[:, 0])
+        for (ahead, left), lever in zip(
+            (self.axis_xy, self.offset_xy), self._levers(), strict=True
+        ):
+            seen += (ahead + 1j * left) * lever
+        return np.stack([seen.imag, seen.real], -1)
 
     def levers(self) -> FloatArray:
         """
@@ -236,48 +238,45 @@ class Motion:
         """
         if self.odometry is None:
             return np.zeros((len(self), 4))
-        units = ((1.0, 0.0), (0.0, 1.0))
-        each = [
-            self._seen(self._carried(at, with_pan=pan))[:, 0]
-            for pan in (False, True)
-            for at in units
-        ]
-        return np.stack(each, -1)
+        axis, offset = self._levers()
+        return np.stack([axis.imag, axis.real, offset.imag, offset.real], -1)
 
     def passed(self) -> FloatArray:
         """Duration, s, and length of the path, m, between the images, (n, 2)."""
-        times = self._odometry_times()
         if self.odometry is None:
             return np.zeros((len(self), 2))
+        times = self.odometry_clock.at(self._times)
         steps = np.hypot(*np.diff(self.odometry.values[:, :2], axis=0).T)
-        path = Track(self.odometry.seconds, np.append(0.0, np.cumsum(steps))[:, None])
-        return np.stack([times[1] - times[0], np.diff(path.at(times)[..., 0], axis=0)[0]], -1)
+        path = np.interp(times, self.odometry.seconds, np.append(0.0, np.cumsum(steps)))
+        return np.asarray(np.diff([times, path], axis=1)[:, 0].T)
 
-    def _headings(self) -> FloatArray:
-        """Headings of the base before and after, (2, n)."""
-        assert self.odometry is not None
-        return np.asarray(self.yaw_scale * self.odometry.at(self._odometry_times())[..., 2])
+    @cached_property
+    def _times(self) -> FloatArray:
+        """Times of both images, (2, n)."""
+        return np.stack([self.before_s, self.after_s])
 
-    def _carried(self, at_xy: tuple[float, float], *, with_pan: bool = False) -> FloatArray:
-        """Displacements (n, 2) of a point in the frame of the base, or of the pan, by turns."""
-        turned = self._headings()
-        if with_pan:
-            times = self.pan_clock.at(np.stack([self.before_s, self.after_s]))
-            turned = turned + self.ahead_rad + self.pan_scale * self.pan.at(times)[..., 0]
-        x, y = at_xy
-        c, s = np.cos(turned), np.sin(turned)
-        return np.asarray(np.diff(np.stack([c * x - s * y, s * x + c * y], -1), axis=0)[0])
+    def _pans(self, times: FloatArray) -> FloatArray:
+        at = self.pan_clock.at(times)
+        return np.asarray(self.pan_scale * np.interp(at, self.pan.seconds, self.pan.values[:, 0]))
 
-    def _seen(self, moved: FloatArray) -> FloatArray:
-        """Components of displacements (n, 2) to the left of the view and along it."""
-        middle = 0.5 * (self.before_s + self.after_s)
-        pan = self.pan_scale * self.pan.at(self.pan_clock.at(middle))[:, 0]
-        look = self._headings().mean(0) + self.ahead_rad + pan
-        c, s = np.cos(look), np.sin(look)
-        return np.stack([c * moved[:, 1] - s * moved[:, 0], c * moved[:, 0] + s * moved[:, 1]], -1)
+    def _yaws(self) -> FloatArray:
+        """Headings of the base at both images, (..., 2, n)."""
+        if self.odometry is None:
+            return np.zeros((2, len(self)))
+        times = self.odometry_clock.at(self._times)
+        yaws = np.interp(times, self.odometry.seconds, self.odometry.values[:, 2])
+        return np.asarray(self.yaw_scale * yaws)
 
-    def _odometry_times(self) -> FloatArray:
-        return self.odometry_clock.at(np.stack([self.before_s, self.after_s]))
+    def _levers(self) -> list[ComplexArray]:
+        """Displacements (n,) of 1 m ahead of the base, and of the pan, by turns; see `_seen`."""
+        base = self._yaws()
+        look = base + self.ahead_rad + self._pans(self._times)
+        return [self._seen(np.diff(np.exp(1j * angle), axis=0)[0]) for angle in (base, look)]
+
+    def _seen(self, moved: ComplexArray) -> ComplexArray:
+        """Displacements (n,) in the map, along the view + 1j to its left."""
+        pan = self._pans(0.5 * self._times.sum(0))
+        return np.asarray(moved * np.exp(-1j * (self._yaws().mean(0) + self.ahead_rad + pan)))
 
 
 @dataclass(frozen=True, eq=False)

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import NamedTuple
+from collections.abc import Iterator, Mapping
 
 import numpy as np
 
 from landmark_nav.arrays import FloatArray
-from landmark_nav.diagnosis.findings import Finding, Level
+from landmark_nav.diagnosis.findings import Code, Finding, Level
 from landmark_nav.diagnosis.streams import Stream
+from landmark_nav.geometry.angles import wrap_rad
 from landmark_nav.geometry.walls import Room
 
 # Speeds that are suspicious for a robot indoors, and impossible.
@@ -24,17 +24,25 @@ _ALIKE = 1.25
 _USUAL = 0.98
 _ANGLES = {'degrees': 57.2958, 'revolutions': 1.0 / (2.0 * np.pi)}
 _UNITS = {'centimetres': 100.0, 'millimetres': 1000.0, 'inches': 39.37, 'feet': 3.281}
+# A jump exceeds the usual speed (95 % quantile) by this factor, and these metres or radians.
+_JUMP, _JUMP_M, _JUMP_RAD = 10.0, 0.3, 0.5
+# More jumps than these come from a noisy source, or from two sources.
+_MOST_JUMPS = 5
+# Agreement of the directions of steps with the heading, 0 to 1: least of correct axes, greatest
+# of wrong axes.
+_AGREES, _CONTRADICTS = 0.9, 0.7
+_LEAST_PATH_M, _LEAST_STEPS = 0.5, 8
+# Greatest angle between path and heading in correct axes.
+_ASIDE_RAD = np.radians(20.0)
 
 
 def unit_of(factor: float, units: Mapping[str, float] = _UNITS) -> str:
     """Name of the unit in which numbers are `factor` times those of SI; empty if none."""
-    for name, known in units.items():
-        if 0.7 * known < factor < known / 0.7:
-            return name
-    return ''
+    near = (name for name, known in units.items() if 0.7 * known < factor < known / 0.7)
+    return next(near, '')
 
 
-def steps_of(stream: Stream) -> tuple[FloatArray, FloatArray]:
+def _steps_of(stream: Stream) -> tuple[FloatArray, FloatArray]:
     """Times (n,) and values (n, 5) at about equal steps of `_STEP_S` or more."""
     times, order = np.unique(stream.seconds, return_index=True)
     values = stream.values[order]
@@ -45,33 +53,24 @@ def steps_of(stream: Stream) -> tuple[FloatArray, FloatArray]:
 
 def check_speed(stream: Stream) -> Finding:
     """Check the speed by the poses of odometry (x, y, yaw, forward speed, yaw rate)."""
-    times, values = steps_of(stream)
+    times, values = _steps_of(stream)
     steps = np.hypot(*np.diff(values[:, :2], axis=0).T) / np.diff(times)
     speed = float(np.quantile(steps, 0.9)) if len(steps) else 0.0
-    level: Level = 'ok'
-    advice = ''
-    if speed > _FAST_M_S:
-        advice = 'publish odom in metres; by its speed it looks like centimetres or millimetres'
-        level = 'error' if speed > _FASTEST_M_S else 'warning'
-    return Finding('odom speed', level, f'{speed:.2f} m/s (90 %)', advice, {'speed_m_s': speed})
+    level: Level = 'error' if speed > _FASTEST_M_S else 'warning' if speed > _FAST_M_S else 'ok'
+    return Code.SPEED.at(level, speed_m_s=speed)
 
 
-def check_twist(stream: Stream) -> list[Finding]:
+def check_twist(stream: Stream) -> Iterator[Finding]:
     """Compare the twists of odometry with its poses: unit and sign."""
-    times, values = stream.seconds, stream.values
-    steps = np.diff(times)
+    values, steps = stream.values, np.diff(stream.seconds)
     good = (steps > 0.0) & (steps < 1.0)
     if not good.any() or not np.abs(values[:, 3:5]).max() > 0.0:
-        return []
-    moved = np.diff(values[:, :2], axis=0)
-    heading = 0.5 * (values[1:, 2] + values[:-1, 2])
-    forward = np.cos(heading) * moved[:, 0] + np.sin(heading) * moved[:, 1]
-    turned = np.diff(values[:, 2])
-    turned = np.arctan2(np.sin(turned), np.cos(turned))
-    found = []
+        return
+    moved = np.diff(values[:, 0] + 1j * values[:, 1])
+    forward = (moved * np.exp(-0.5j * (values[1:, 2] + values[:-1, 2]))).real
     for name, verb, by_pose, column, least, units in (
         ('forward', 'moves', forward, 3, _LEAST_MOTION_M, _UNITS),
-        ('turn', 'turns', turned, 4, _LEAST_MOTION_RAD, _ANGLES),
+        ('turn', 'turns', wrap_rad(np.diff(values[:, 2])), 4, _LEAST_MOTION_RAD, _ANGLES),
     ):
         by_twist = 0.5 * (values[1:, column] + values[:-1, column]) * steps
         # Single jumps are reported by `check_jumps`.
@@ -82,26 +81,19 @@ def check_twist(stream: Stream) -> list[Finding]:
         size = float(np.abs(pose).sum() / max(np.abs(twist).sum(), 1e-9))
         both = float(pose @ twist)
         opposite = both < -_AGREES * float(np.sqrt((pose @ pose) * (twist @ twist)))
-        ratio = -size if opposite else size
-        level: Level = 'warning'
         # With noise in both, the ratio lies between their regressions on each other.
         low, high = both / max(float(twist @ twist), 1e-12), float(pose @ pose) / max(both, 1e-12)
-        if both > 0.0 and low < _ALIKE and high > 1.0 / _ALIKE:
-            level, advice = 'ok', ''
-        elif opposite:
-            advice = 'pose and twist have opposite signs: publish both by REP-103'
+        agree = both > 0.0 and low < _ALIKE and high > 1.0 / _ALIKE
+        code, unit = Code.TWIST, ''
+        if opposite:
+            code = Code.TWIST_OPPOSITE
         elif size < 1e-3:
-            advice = 'the pose stands while the twist moves: publish the integrated pose'
+            code = Code.TWIST_ALONE
         elif unit := unit_of(size, units) or unit_of(1.0 / size, units):
-            which = 'pose' if size > 1.0 else 'twist'
-            advice = f'the {which} looks like {unit}: publish metres and radians'
-        else:
-            advice = (
-                'pose and twist contradict each other: look at scale and frame (child_frame_id)'
-            )
-        text = f'pose {verb} {ratio:.3g} times its twist'
-        found.append(Finding(f'odom twist, {name}', level, text, advice, {'ratio': ratio}))
-    return found
+            code = Code.TWIST_UNIT
+        words = name, verb, 'pose' if size > 1.0 else 'twist', unit
+        ratio = -size if opposite else size
+        yield code.at('ok' if agree else 'warning', *words, ratio=ratio)
 
 
 def nearness_of_room(room: Room) -> float:
@@ -119,58 +111,36 @@ def nearness_of_room(room: Room) -> float:
     return float(np.mean(1.0 / np.maximum(distance, 0.3))) if len(inside) else float('nan')
 
 
-# A jump exceeds the usual speed (95 % quantile) by this factor, and these metres or radians.
-_JUMP, _JUMP_M, _JUMP_RAD = 10.0, 0.3, 0.5
-# More jumps than these come from a noisy source, or from two sources.
-_MOST_JUMPS = 5
-# Agreement of the directions of steps with the heading, 0 to 1: least of correct axes, greatest
-# of wrong axes.
-_AGREES, _CONTRADICTS = 0.9, 0.7
-_LEAST_PATH_M, _LEAST_STEPS = 0.5, 8
-# Greatest angle between path and heading in correct axes.
-_ASIDE_RAD = np.radians(20.0)
-
-
-def check_jumps(stream: Stream) -> Finding | None:
-    """Find impossible steps of odometry (x, y, yaw, ...); None if there are none."""
+def check_jumps(stream: Stream) -> Iterator[Finding]:
+    """Find impossible steps of odometry (x, y, yaw, ...)."""
     if len(stream) < _LEAST_STEPS:
-        return None
+        return
     moved = np.hypot(*np.diff(stream.values[:, :2], axis=0).T)
-    turned = np.abs(np.angle(np.exp(1j * np.diff(stream.values[:, 2]))))
+    turned = np.abs(wrap_rad(np.diff(stream.values[:, 2])))
     # A step over a gap takes longer and may be larger.
     times = np.maximum(np.diff(stream.seconds), float(np.median(np.diff(stream.seconds))))
     jumps = np.zeros(len(moved), dtype=np.bool_)
     for size, least in ((moved, _JUMP_M), (turned, _JUMP_RAD)):
         speed = size / np.maximum(times, 1e-6)
-        usual = float(np.quantile(speed, 0.95))
-        jumps |= (size > least) & (speed > _JUMP * usual)
-    if not 0 < jumps.sum() <= _MOST_JUMPS:
-        return None
+        jumps |= (size > least) & (speed > _JUMP * float(np.quantile(speed, 0.95)))
     first, count = int(np.argmax(jumps)), int(jumps.sum())
-    text = f'jumps by {moved[first]:.2f} m and {np.degrees(turned[first]):.0f} deg at '
-    text += f'{stream.seconds[first + 1]:.1f} s ({count} in all)'
-    advice = 'publish odom of the wheels alone, without resets or corrections by a map'
-    values = {'jumps': count, 'metres': float(moved[first])}
-    return Finding('odom jumps', 'warning', text, advice, values)
+    if 0 < count <= _MOST_JUMPS:
+        words = turned[first], stream.seconds[first + 1]
+        yield Code.JUMPS.found(*words, jumps=count, metres=float(moved[first]))
 
 
-class Path(NamedTuple):
-    """Fault of a path, and the values (n, k) of its stream without the fault."""
-
-    finding: Finding
-    mended: FloatArray
-
-
-def check_path(stream: Stream) -> Path | None:
+def check_path(stream: Stream) -> tuple[Finding, FloatArray] | None:
     """
     Compare the direction of the path with the yaw; None if they agree.
+
+    Returns the fault of the path, and the values (n, k) of the stream without it.
 
     A robot that drives along its heading, forwards and backwards, keeps the angle between the two;
     in a mirrored path their sum is constant. The fault is in the path or in the heading; the
     caller decides by the images.
     """
-    _, values = steps_of(stream)
-    moved = np.diff(values[:, 0]) + 1j * np.diff(values[:, 1])
+    _, values = _steps_of(stream)
+    moved = np.diff(values[:, 0] + 1j * values[:, 1])
     size = np.abs(moved)
     far = size > 0.2 * float(np.quantile(size, 0.9)) if len(size) else size > 0.0
     if far.sum() < _LEAST_STEPS or size.sum() < _LEAST_PATH_M:
@@ -185,24 +155,20 @@ def check_path(stream: Stream) -> Path | None:
     # The robot may drive backwards; a straight path does not show a mirrored one.
     turned = min(abs(aside), np.pi - abs(aside)) > _ASIDE_RAD
     if own > _AGREES >= mirrored and turned:
-        text = f'leads {abs(np.degrees(aside)):.0f} deg aside of the yaw'
-        advice = 'publish x ahead, y to the left at yaw 0 (REP-103), not in a frame that is turned'
-        place, found = place * np.exp(-1j * aside), {'aside_rad': aside}
+        place, found = place * np.exp(-1j * aside), Code.PATH_ASIDE.found(aside_rad=aside)
     elif own > _CONTRADICTS or mirrored < _AGREES:
         return None
     else:
         # The sum is 0 if y is mirrored, half a turn if x is, a quarter if both are exchanged.
         sum_of_both = np.sum(weight * direction * heading)
         quarter = round(float(np.angle(sum_of_both)) / (0.5 * np.pi)) % 4
-        text = (
+        wrong = (
             'y has the wrong sign',
             'x and y are exchanged',
             'x has the wrong sign',
             'x and y are exchanged, with the wrong sign',
         )[quarter]
-        text = f'is mirrored: {text} beside the yaw'
-        advice = 'publish x ahead, y to the left at yaw 0, yaw counter-clockwise (REP-103)'
-        place, found = 1j**quarter * np.conj(place), {'agrees': own, 'mirrored': mirrored}
-    values = stream.values.copy()
-    values[:, 0], values[:, 1] = place.real, place.imag
-    return Path(Finding('odom path', 'error', text, advice, found), values)
+        place = 1j**quarter * np.conj(place)
+        found = Code.PATH_MIRRORED.found(wrong, agrees=own, mirrored=mirrored)
+    values = np.column_stack([place.real, place.imag, stream.values[:, 2:]])
+    return found, values

@@ -2,26 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 
 import numpy as np
 
 from landmark_nav.arrays import FloatArray, IndexArray
-from landmark_nav.diagnosis.findings import Finding, Level
+from landmark_nav.diagnosis.findings import Code, Finding, Level
 from landmark_nav.diagnosis.looks import Looks
-from landmark_nav.diagnosis.motion import (
-    explained,
-    fit,
-    JOINTS,
-    LEAST_PAIRS,
-    Motion,
-    NOISE_RAD,
-    ODOMETRY,
-    Track,
-)
-from landmark_nav.diagnosis.streams import Stream
-from landmark_nav.matching.strips import CLEAR_SCORE
+from landmark_nav.diagnosis.motion import explained, fit, LEAST_PAIRS, Motion, NOISE_RAD, Track
+from landmark_nav.diagnosis.streams import JOINTS, ODOMETRY, Stream
+from landmark_nav.matching.strips import CLEAR_SCORE, comparable
 
 # Least texture of a strip, per pixel; normalised contrast is 1, a bare wall has less.
 _BLANK = 0.02
@@ -32,7 +23,6 @@ _BLURRED = 0.03
 _STAYS_GREY, _CHANGES_GREY, _LEAST_VIEWS = 3.0, 10.0, 6
 # Least change of brightness between images that flicker, as a logarithm (a factor of 1.2).
 _FLICKERS = 0.2
-COVERED = 'images cover'
 # Least share that is reported, and that of blank images which is an error.
 _SOME, _MOST_BLANK = 0.1, 0.9
 # A camera repeats one image if, in this share of the pairs, images turn by less than the first
@@ -61,78 +51,53 @@ _MOST_STRANGE, _SHARED, _STRANGE_RAD = 0.3, 0.5, 0.15
 _ALIKE = 0.1
 
 
-def check_content(looks: Looks) -> list[Finding]:
+# A fault of a part, and the motion without that part.
+Part = tuple[Finding, Motion]
+
+
+def check_content(looks: Looks) -> Iterator[Finding]:
     """Find faults of the images themselves: blank, out of focus, covered, flickering."""
-    checks = (_blank_images, _blurred_images, _covered_images, _flickering_images)
-    return [found for check in checks if (found := check(looks)) is not None]
-
-
-def _blank_images(looks: Looks) -> Finding | None:
     strips = looks.strips.values()
     blank = [e[-1] < _BLANK * len(spectrum) * (len(e) - 1) for spectrum, e in strips]
-    share = float(np.mean(blank)) if blank else 0.0
-    if share < _SOME:
-        return None
-    text = f'{sum(blank)} of {len(blank)} have hardly any contrast: dark, white or covered'
-    advice = 'look at exposure, lens cap and light'
-    values = {'blank': int(sum(blank)), 'tried': len(blank)}
-    level: Level = 'error' if share > _MOST_BLANK else 'warning'
-    return Finding('images content', level, text, advice, values)
-
-
-def _blurred_images(looks: Looks) -> Finding | None:
+    if blank and np.mean(blank) >= _SOME:
+        level: Level = 'error' if np.mean(blank) > _MOST_BLANK else 'warning'
+        yield Code.BLANK.at(level, blank=int(sum(blank)), tried=len(blank))
     sharp = [value for value in looks.sharpness.values() if value > 0.0]
-    usual = float(np.median(sharp)) if len(sharp) >= LEAST_PAIRS else _BLURRED
-    if usual >= _BLURRED:
-        return None
-    text = f'fine details have {100.0 * usual:.1f} % of the contrast of coarse ones: out of focus'
-    advice = 'focus the lens, clean it; expose for a shorter time if the camera moves'
-    return Finding('images sharpness', 'warning', text, advice, {'sharpness': usual})
+    if len(sharp) >= LEAST_PAIRS and (usual := float(np.median(sharp))) < _BLURRED:
+        yield Code.BLURRED.found(sharpness=usual)
+    if len(looks.small) >= LEAST_PAIRS:
+        yield from _covered(np.array(list(looks.small.values()), dtype=np.float64))
+    light = {k: np.log(max(float(image.mean()), 1.0)) for k, image in looks.small.items()}
+    # Second differences ignore a trend, as when the camera turns towards a window.
+    firsts = [k for k in light if k + 1 in light and k + 2 in light]
+    bends = [0.5 * abs(light[k] - 2.0 * light[k + 1] + light[k + 2]) for k in firsts]
+    if len(bends) >= LEAST_PAIRS and (usual := float(np.median(bends))) >= _FLICKERS:
+        yield Code.FLICKERING.found(factor=float(np.exp(usual)))
 
 
-def _covered_images(looks: Looks) -> Finding | None:
-    small = np.array(list(looks.small.values()), dtype=np.float64)
-    if len(small) < LEAST_PAIRS:
-        return None
+def _covered(small: FloatArray) -> Iterator[Finding]:
+    """Find what stays the same in grey images (n, rows, columns) of different views."""
     x, y = np.meshgrid(*(np.linspace(-1.0, 1.0, n) for n in small.shape[:0:-1]))
     # The corners of a fisheye lens are always dark.
     inside = np.hypot(x, y) <= 1.0
     free = inside & (small.std(axis=0) >= _STAYS_GREY)
     if not free.any():
-        return None
+        return
     views = small[:1]
     for image in small[1:]:
         if (np.median(np.abs(views - image)[:, free], axis=1) > _CHANGES_GREY).all():
             views = np.append(views, image[None], axis=0)
     stays = inside & (views.std(axis=0) < _STAYS_GREY)
     share = float(stays.sum() / inside.sum())
-    if share < _SOME or len(views) < _LEAST_VIEWS:
-        return None
-    right, down = x[stays].mean(), y[stays].mean()
-    side = ('left', 'right') if abs(right) > abs(down) else ('above', 'below')
-    where = side[int(max(right, down, key=abs) > 0.0)]
-    text = f'{100.0 * share:.0f} % of each image stay the same, most on the side {where}: '
-    text += 'covered, or no image of the camera'
-    advice = 'free the lens; no part of the robot, no text and no frame belongs into the image'
-    level: Level = 'error' if share > _MOST_STRANGE else 'warning'
-    return Finding(COVERED, level, text, advice, {'share': share})
+    if share >= _SOME and len(views) >= _LEAST_VIEWS:
+        right, down = x[stays].mean(), y[stays].mean()
+        side = ('left', 'right') if abs(right) > abs(down) else ('above', 'below')
+        where = side[int(max(right, down, key=abs) > 0.0)]
+        level: Level = 'error' if share > _MOST_STRANGE else 'warning'
+        yield Code.COVERED.at(level, where, share=share)
 
 
-def _flickering_images(looks: Looks) -> Finding | None:
-    light = {k: np.log(max(float(image.mean()), 1.0)) for k, image in looks.small.items()}
-    # Second differences ignore a trend, as when the camera turns towards a window.
-    firsts = [k for k in light if k + 1 in light and k + 2 in light]
-    bends = [0.5 * abs(light[k] - 2.0 * light[k + 1] + light[k + 2]) for k in firsts]
-    usual = float(np.median(bends)) if len(bends) >= LEAST_PAIRS else 0.0
-    if usual < _FLICKERS:
-        return None
-    factor = float(np.exp(usual))
-    text = f'the brightness changes by a factor of {factor:.1f} from image to image'
-    advice = 'fix exposure and gain, or bind them to the mains (50 or 60 Hz): light flickers'
-    return Finding('images exposure', 'warning', text, advice, {'factor': factor})
-
-
-def repeated_images(motion: Motion) -> tuple[Finding, Motion] | None:
+def repeated_images(motion: Motion) -> Part | None:
     """
     Find images that do not turn though the pan does; return the motion without, None if few.
 
@@ -143,23 +108,14 @@ def repeated_images(motion: Motion) -> tuple[Finding, Motion] | None:
     still = turning & same
     # The first image after repeated ones has turned for longer.
     rest = motion.only(~(same | np.append(False, same[:-1])))
-    level: Level = 'error'
+    code = Code.STILL
     if turning.sum() < LEAST_PAIRS:
         return None
-    if np.mean(turns < _STILL_RAD) > _MOST_STILL:
-        text = 'images stay the same while joint_states turn'
-        advice = 'the camera repeats an image, or the pan does not move: look at both drivers'
-    elif still.sum() < _SOME * turning.sum():
-        return None
-    else:
-        text = f'{still.sum()} of {turning.sum()} images repeat the one before while the camera '
-        text += 'turns'
-        advice = 'its driver stamps one image twice: publish each image once'
-        if len(rest) >= LEAST_PAIRS:
-            level, text = 'warning', f'{text} and are left out'
-            advice = 'its driver hangs at times: publish each image once'
-    values = {'repeated': int(still.sum()), 'turning': int(turning.sum())}
-    return Finding('images motion', level, text, advice, values), rest
+    if np.mean(turns < _STILL_RAD) <= _MOST_STILL:
+        if still.sum() < _SOME * turning.sum():
+            return None
+        code = Code.REPEATED if len(rest) < LEAST_PAIRS else Code.REPEATED_AT_TIMES
+    return code.found(repeated=int(still.sum()), turning=int(turning.sum())), rest
 
 
 def alternating_images(looks: Looks, motion: Motion) -> Finding | None:
@@ -180,31 +136,27 @@ def alternating_images(looks: Looks, motion: Motion) -> Finding | None:
     odd = across > np.maximum(first, second) + _ALIKE
     if len(odd) < LEAST_PAIRS or odd.mean() < _MOST_STRANGE:
         return None
-    text = f'{odd.sum()} of {len(odd)} images are like the one before the last, not like the last'
-    advice = 'two cameras, or two settings of one, come in turns: stop one, or remap it'
-    values = {'odd': int(odd.sum()), 'images': len(odd)}
-    return Finding('images content', 'error', text, advice, values)
+    return Code.ALTERNATING.found(odd=int(odd.sum()), images=len(odd))
 
 
-def strange_images(motion: Motion, width_rad: float) -> Finding | None:
+def strange_images(looks: Looks, pairs: IndexArray, motion: Motion) -> Iterator[Finding]:
     """
-    Find images that do not match the previous one though they overlap; None if they are few.
+    Find images that do not match the previous one though they overlap.
 
-    `motion` has no other fault, and turns of NaN if images do not match; images are `width_rad`
-    wide.
+    `motion` has no other fault, the turns of `pairs` (n, 2), and NaN if images do not match.
     """
-    shared = np.abs(motion.panned() + motion.yawed()) < _SHARED * width_rad
+    if looks.view is None:
+        return
+    clear = [comparable(looks.strips[k], looks.strips[n]) for k, n in pairs.tolist()]
+    motion = motion.only(np.array(clear, np.bool_))
+    shared = np.abs(motion.panned() + motion.yawed()) < _SHARED * looks.view.width_rad
     matched = np.abs(motion.unexplained()) < _STRANGE_RAD
-    pairs, strange = int(shared.sum()), int((shared & ~matched).sum())
-    if pairs < LEAST_PAIRS or strange < _MOST_STRANGE * pairs:
-        return None
-    text = f'{strange} of {pairs} images show other things than the one before'
-    advice = 'see that no second camera publishes there, and that they come in order'
-    values = {'strange': strange, 'pairs': pairs}
-    return Finding('images content', 'warning', text, advice, values)
+    count, strange = int(shared.sum()), int((shared & ~matched).sum())
+    if count >= LEAST_PAIRS and strange >= _MOST_STRANGE * count:
+        yield Code.STRANGE.found(strange=strange, pairs=count)
 
 
-def frozen_values(motion: Motion) -> tuple[Finding, Motion] | None:
+def frozen_values(motion: Motion) -> Part | None:
     """Find a stream that is constant at times while images turn; return the motion without."""
     left, sideways = motion.unexplained(), motion.parallax()
     for stream, what in ((JOINTS, 'the pan'), (ODOMETRY, 'its pose')):
@@ -220,15 +172,12 @@ def frozen_values(motion: Motion) -> tuple[Finding, Motion] | None:
         scaled = fit(left[inside], others).quiet and np.abs(others[:, 0]).max() > 0.0
         if rest.quiet and not scaled and off.sum() >= max(_STAYS_PAIRS, _SOME * inside.sum()):
             begin, end = float(motion.before_s[off].min()), float(motion.after_s[off].max())
-            text = f'{what} stays as it is in {off.sum()} pairs of images that turn, from '
-            text += f'{begin:.1f} to {end:.1f} s'
-            advice = 'look at its driver: it hangs and repeats its last value, or is at its limit'
             values = {'begin_s': begin, 'end_s': end, 'pairs': int(off.sum())}
-            return Finding(f'{stream} values', 'error', text, advice, values), motion.only(~inside)
+            return Code.FROZEN.found(stream, what, **values), motion.only(~inside)
     return None
 
 
-def limited_values(motion: Motion) -> tuple[Finding, Motion] | None:
+def limited_values(motion: Motion) -> Part | None:
     """Find a pan that stays at its extremes while images turn; return the motion without."""
     low, high = float(motion.pan.values.min()), float(motion.pan.values.max())
     left, others = motion.unexplained(), np.column_stack([motion.yawed(), motion.parallax()])
@@ -239,13 +188,11 @@ def limited_values(motion: Motion) -> tuple[Finding, Motion] | None:
         return None
     if fit(left[at], others[at]).quiet:
         return None  # explained by a wrong scale of the yaw
-    text = f'the images turn on where the pan stays at {low:.2f} or {high:.2f} rad'
-    advice = 'publish what the joint does beyond: its driver cuts values off there'
-    values = {'low_rad': low, 'high_rad': high, 'pairs': int((at & off).sum())}
-    return Finding('pan limit', 'error', text, advice, values), motion.only(~at)
+    found = Code.PAN_LIMIT.found(low_rad=low, high_rad=high, pairs=int((at & off).sum()))
+    return found, motion.only(~at)
 
 
-def repeated_values(motion: Motion) -> tuple[Finding, Motion] | None:
+def repeated_values(motion: Motion) -> Part | None:
     """Find a stream that repeats each value; return the motion without the repetitions."""
     for stream in (JOINTS, ODOMETRY):
         track, _ = motion.stream(stream)
@@ -264,68 +211,51 @@ def repeated_values(motion: Motion) -> tuple[Finding, Motion] | None:
         even = np.mean(np.abs(held_s - usual) < 1.5 * period) >= _MOST_EVEN
         if usual < _HELD * period or not even:
             continue
-        text = f'values change {1.0 / usual:.1f} times a second, messages come '
-        text += f'{1.0 / period:.0f} times: each is repeated'
-        advice = 'publish each measurement once, with the time at which it was taken'
         level: Level = 'error' if usual > _HELD_S else 'warning'
-        values = {'changes_hz': 1.0 / usual, 'messages_hz': 1.0 / period}
+        rates = {'changes_hz': 1.0 / usual, 'messages_hz': 1.0 / period}
         once = Track(times, track.values[changes])
-        rest = replace(motion, **{'pan' if stream == JOINTS else 'odometry': once})  # type: ignore[arg-type]
-        return Finding(f'{stream} rate', level, text, advice, values), rest
+        rest = replace(motion, pan=once) if stream == JOINTS else replace(motion, odometry=once)
+        return Code.HELD.at(level, stream, **rates), rest
     return None
 
 
-def jumping_values(motion: Motion) -> list[Finding]:
+def jumping_values(motion: Motion) -> Iterator[Finding]:
     """Find jumps of pan or yaw that images do not show; `motion` has no other fault."""
     left = explained(motion).residuals_rad
-    found = []
-    for stream, name, column in ((JOINTS, 'pan', 0), (ODOMETRY, 'odom yaw', 2)):
+    levels: tuple[Level, Level] = ('error', 'warning')
+    streams = zip((JOINTS, ODOMETRY), ('pan', 'odom yaw'), levels, strict=True)
+    for stream, name, level in streams:
         track, clock = motion.stream(stream)
         if track is None:
             continue
-        steps = np.diff(track.values[:, column])
         for k in _jumps(left):
-            span = np.array([motion.before_s[k], motion.after_s[k]])
-            first, last = np.searchsorted(track.seconds, clock.at(span))
-            inside = steps[max(first - 1, 0) : last]
-            jump = float(inside[np.abs(inside).argmax()] - np.median(inside)) if len(inside) else 0
-            if abs(left[k] + jump) > _SAME_JUMP * abs(left[k]):
-                continue
             at_s = float(motion.before_s[k])
-            text = f'it jumps by {np.degrees(jump):.0f} deg at {at_s:.1f} s, the images do not'
-            advice = 'its zero is another one since: see why it slips or was set anew'
-            level: Level = 'error' if stream == JOINTS else 'warning'
-            values = {'jump_rad': jump, 'at_s': at_s}
-            found.append(Finding(f'{name} jumps', level, text, advice, values))
-            break
-    return found
+            span = clock.at(np.array([at_s, motion.after_s[k]]))
+            first, last = np.searchsorted(track.seconds, span)
+            inside = np.diff(track.values[max(first - 1, 0) : last + 1, -1])
+            jump = float(inside[np.abs(inside).argmax()] - np.median(inside)) if len(inside) else 0
+            if abs(left[k] + jump) <= _SAME_JUMP * abs(left[k]):
+                yield Code.JUMP.at(level, name, jump_rad=jump, at_s=at_s)
+                break
 
 
-def moved_between(motion: Motion, wider: Callable[[], Motion]) -> list[Finding]:
+def moved_between(motion: Motion, wider: Callable[[], Motion]) -> Iterator[Finding]:
     """
-    Find jumps of the camera in a sweep that consecutive images show and the pan does not.
+    Find a jump of the camera in a sweep that consecutive images show and the pan does not.
 
     Consecutive images may be mistaken, as where somebody walks by; most of those farther apart,
     which `wider` returns, must show the jump too.
     """
     left = motion.unexplained()
-    jumps = _jumps(left)
-    if not len(jumps):
-        return []
+    if not len(jumps := _jumps(left)):
+        return
     wide = wider()
     across = wide.unexplained()
     for k in jumps:
         over = (wide.before_s <= motion.before_s[k]) & (wide.after_s >= motion.after_s[k])
-        if not over.any() or abs(np.median(across[over]) - left[k]) > _SAME_JUMP * abs(left[k]):
-            continue
-        turned, at_s = float(left[k]), float(motion.before_s[k])
-        side = 'left' if turned > 0.0 else 'right'
-        text = f'at {at_s:.1f} s the images turn {abs(np.degrees(turned)):.0f} deg farther {side} '
-        text += 'than the pan'
-        advice = 'base turned, pan slipped, or people passed: sweep again, all standing still'
-        values = {'turned_rad': turned, 'at_s': at_s}
-        return [Finding('sweep motion', 'error', text, advice, values)]
-    return []
+        if over.any() and abs(np.median(across[over]) - left[k]) <= _SAME_JUMP * abs(left[k]):
+            yield Code.PUSHED.found(turned_rad=float(left[k]), at_s=float(motion.before_s[k]))
+            return
 
 
 def _jumps(left: FloatArray) -> IndexArray:
@@ -334,16 +264,13 @@ def _jumps(left: FloatArray) -> IndexArray:
     return np.flatnonzero(np.abs(left) > max(_JUMP_RAD, _OFF_SIGMAS * noise))
 
 
-def coarse_values(stream: Stream) -> Finding | None:
-    """Find a resolution of pan or yaw that is coarser than that of the images; None if fine."""
+def coarse_values(stream: Stream) -> Iterator[Finding]:
+    """Find a resolution of pan or yaw that is coarser than that of the images."""
     name, column = ('pan', 0) if stream.name == JOINTS else ('odom yaw', 2)
     values = np.unique(np.round(stream.values[:, column], 9))
     step = float(np.diff(values).min()) if len(values) > 2 else 0.0
-    if step < NOISE_RAD or np.abs(values / step - np.round(values / step)).max() > _WHOLE:
-        return None
-    text = f'comes in steps of {np.degrees(step):.2g} deg'
-    advice = 'publish what the encoder measures, as it is: no rounding, no few set points'
-    return Finding(f'{name} resolution', 'error', text, advice, {'step_rad': step})
+    if step >= NOISE_RAD and np.abs(values / step - np.round(values / step)).max() <= _WHOLE:
+        yield Code.RESOLUTION.found(name, step_rad=step)
 
 
 def _unchanged(motion: Motion, stream: str) -> FloatArray:
@@ -355,3 +282,9 @@ def _unchanged(motion: Motion, stream: str) -> FloatArray:
     kept = np.append(0.0, np.cumsum(np.where(same, np.diff(track.seconds), 0.0)))
     before, after = np.interp(np.stack([motion.before_s, motion.after_s]), track.seconds, kept)
     return np.asarray((after - before) / (motion.after_s - motion.before_s))
+
+
+# In the order in which they are looked for; the second are values that are judged only where they
+# do not explain the images.
+PARTS = (repeated_images, repeated_values, limited_values, frozen_values)
+OF_VALUES = (repeated_values, limited_values)
