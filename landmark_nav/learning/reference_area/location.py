@@ -33,6 +33,8 @@ from landmark_nav.types import FloatArray, Sweep
 # Least visible part of all papers together, in whole papers.
 _LEAST_EVIDENCE = 1.6
 _MOST_MISFIT = 6.0
+# A pose with this much more cost than one that fits is not tried.
+_HOPELESS = 20.0
 # Chi-square, with 3 degrees of freedom, at which two poses certainly differ.
 _DISAGREEMENT = 35.0
 # Yaws that differ by less are equal.
@@ -233,14 +235,19 @@ class PaperSearch:
         return bool(self._room.papers) and any(_fits(fit, self._room) for fit in self._tried())
 
     def _tried(self) -> list[PaperFit]:
-        """Fits of few frames at possible poses."""
+        """Fits of few frames at poses, in the order of cost, until the rest is hopeless."""
         fits: list[PaperFit] = []
+        enough = np.inf
         base = se2.inverse([*self._mount.axis_xyz[:2], 0.0])
         for place in find_places(self._blobs, self._room, self._height_m, self._config):
+            if place.cost > enough:
+                break
             start = se2.compose(place.axis_pose, base)
             fit = self._fitter.fit(start, _QUICK_FRAMES, place.mount)
             if fit is not None and self._room.contains(fit.pose_map_base[:2]):
                 fits.append(fit)
+                if _fits(fit, self._room):
+                    enough = min(enough, place.cost + _HOPELESS)
         return fits
 
     def _refusal(self, fits: list[PaperFit]) -> LandmarkNavError:

@@ -3,8 +3,8 @@ Where papers are seen, with all uncertain values: in a panorama, and in the fram
 
 All parts of the reference area use `in_base`, which depends on the pose and on height and tilt of
 the pan axis, and `PaperPlaces.outlines`, which adds errors of the papers. In frames there are also
-the camera's response to light, shift and rotation of each edge, and the joint angles of each frame. All have priors, so that the covariance of a pose
-contains their errors.
+the camera's response to light, shift and rotation of each edge, and the joint angles of each
+frame. All have priors, so that the covariance of a pose contains their errors.
 """
 
 from __future__ import annotations
