@@ -21,6 +21,7 @@ from landmark_nav.learning.reference_area.model import (
     PaperModel,
     ReferenceAreaConfig,
     RISE,
+    SHIFT,
     SIZE,
 )
 from landmark_nav.learning.reference_area.search import papers_in_view
@@ -41,8 +42,10 @@ _BRIGHT_SIGMA_PX = 0.2
 _TURN_SHARE = 0.5
 # Greatest squared residual of an inlier, in sigmas.
 _SURELY_WRONG = 25.0
-# Least width of a paper in a frame.
-_LEAST_WIDTH_PX = 4.5
+# Least width of a paper in a frame; and width below which colour edges have a further sigma, as
+# JPEG mixes the colours of narrow papers and the wall.
+_LEAST_WIDTH_PX, _NARROW_PX = 4.5, 7.0
+_NARROW_COLOR_SIGMA_PX = 1.0
 # Least distance of measurements from the corners, and least share of an edge that is measured.
 _CORNER_PX, _LEAST_KEPT = 2.5, 0.2
 _GAMMA_RANGE = (0.8, 2.4)
@@ -162,6 +165,7 @@ class PaperFitter:
             image, hue = self._frames[f].image, self._hues[k]
             found = locate_edges(image, pixels, normal, hue, reach, gamma)
             tried[k] += len(side)
+            found.sigma_px[0] += _NARROW_COLOR_SIGMA_PX * (width < _NARROW_PX)
             place = paper[middle], frame[middle], side, along, points[middle], normal[middle]
             for kind, *measured in zip(
                 (0, 1), found.offset_px, found.sigma_px, found.by_gamma, strict=True
@@ -207,10 +211,12 @@ class PaperFitter:
         jacobian = model.jacobian(state, m.frame, m.paper, m.points, m.normal)
         rows = np.arange(len(m.bright))
         jacobian[rows, GAMMA + m.bright] = -m.by_gamma
+        jacobian[:, SHIFT : SHIFT + 2] = np.where(m.bright[:, None] > 0, 0.0, m.normal)
         innovation = (
             m.offset_px
             - np.sum(moved * m.normal, 1)
             + m.by_gamma * (state[GAMMA + m.bright] - m.gamma)
+            - jacobian[:, SHIFT : SHIFT + 2] @ state[SHIFT : SHIFT + 2]
         )
         squared_misfit = innovation**2 / (m.sigma_px**2 + shift**2)
         weight = (1.0 + squared_misfit / tail_width) ** -2.0 / m.sigma_px**2

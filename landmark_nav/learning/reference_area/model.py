@@ -3,8 +3,9 @@ Where papers are seen, with all uncertain values: in a panorama, and in the fram
 
 All parts of the reference area use `in_base`, which depends on the pose and on height and tilt of
 the pan axis, and `PaperPlaces.outlines`, which adds errors of the papers. In frames there are also
-the camera's response to light, shift and rotation of each edge, and the joint angles of each
-frame. All have priors, so that the covariance of a pose contains their errors.
+the camera's response to light, the shift between colour and brightness, shift and rotation of each
+edge, and the joint angles of each frame. All have priors, so that the covariance of a pose
+contains their errors.
 """
 
 from __future__ import annotations
@@ -159,12 +160,13 @@ EDGES = 4
 EDGE_SHARE = 0.88
 # x, y, heading of the base; height and two tilts of the axis; relative error of the size of all
 # papers; shift of the optical centre, forward and left; gamma of colours, which JPEG blurs once
-# more after the camera wrote them, and of brightness.
-RISE, SIZE, _PLACE, GAMMA, _COMMON = 3, 6, 9, 9, 11
+# more after the camera wrote them, and of brightness; shift of colours, two pixels.
+RISE, SIZE, _PLACE, GAMMA, SHIFT, _COMMON = 3, 6, 9, 9, 11, 13
 CENTERED = slice(7, _PLACE)
 
 # Usual response to light, between linear and that of sRGB, and its sigma.
 _USUAL_GAMMA, _GAMMA_SIGMA = 1.4, 0.4
+_SHIFT_SIGMA_PX = 0.15
 
 
 class PaperModel:
@@ -191,7 +193,7 @@ class PaperModel:
         """Unknowns as they are before anything is measured, at a pose (3,)."""
         state = np.zeros(self.size)
         state[:3] = pose_map_base
-        state[GAMMA:_COMMON] = _USUAL_GAMMA
+        state[GAMMA:SHIFT] = _USUAL_GAMMA
         return state
 
     def hang(self, state: FloatArray) -> FloatArray:
@@ -260,7 +262,7 @@ class PaperModel:
             config.paper_size_sigma,
         )
         sigma[CENTERED] = max(config.center_sigma_m, 1e-6)
-        sigma[GAMMA:_COMMON] = _GAMMA_SIGMA
+        sigma[GAMMA:SHIFT], sigma[SHIFT:_COMMON] = _GAMMA_SIGMA, _SHIFT_SIGMA_PX
         sigma[_COMMON : self._edge] = max(config.paper_sigma_m, 1e-6)
         sigma[self._frame :] = angle_sigma_rad
         information = sigma**-2.0
