@@ -32,9 +32,8 @@ _MISSING = 25.0
 _TAIL_WIDTH = 9.0
 _MOST_PAIRS = 1500
 _MOST_PLACES = 6
-# Rounds of refinement of all poses, with factors on the sigmas above; then rounds of the best ones
-# with factor 1.
-_ROUGH_ROUNDS, _FINE_ROUNDS = (4.0, 2.0), 5
+# Rounds of refinement of all poses, then of the best ones.
+_ROUGH_ROUNDS, _FINE_ROUNDS = 2, 5
 _MOST_REFINED = 150
 # Greatest angle of a paper to the line of sight.
 _FLATTEST_RAD = 1.4
@@ -73,11 +72,11 @@ def find_places(
     poses = problem.pair_places()
     if not len(poses):
         return []
-    for scale in _ROUGH_ROUNDS:
-        poses = problem.refine(poses, scale)
+    for _ in range(_ROUGH_ROUNDS):
+        poses = problem.refine(poses)
     poses = poses[np.argsort(problem.judge(poses)[0])[:_MOST_REFINED]]
     for _ in range(_FINE_ROUNDS):
-        poses = problem.refine(poses, 1.0)
+        poses = problem.refine(poses)
     cost, blob = problem.judge(poses)
     inside = room.contains(poses[:, :2])
     found: list[PaperPlace] = []
@@ -170,9 +169,9 @@ class _Problem:
         reach = np.linalg.norm([*first.T, *second.T], axis=0)
         return np.column_stack([axis, wrap_rad(heading)]), (miss / (0.05 + 0.05 * reach)) ** 2
 
-    def refine(self, poses: FloatArray, scale: float) -> FloatArray:
+    def refine(self, poses: FloatArray) -> FloatArray:
         """One least-squares step of all poses (n, 6) to the best blobs of each."""
-        residual, cost, _ = self._compare(poses, scale)
+        residual, cost, _ = self._compare(poses)
         weight = (1.0 + cost / _TAIL_WIDTH) ** -2.0 * (cost < _MISSING)
         weight *= papers_in_view(poses[:, :2], self._room)
         _, jacobian = linearized(self._predicted, poses)
@@ -186,7 +185,7 @@ class _Problem:
 
     def judge(self, poses: FloatArray) -> tuple[FloatArray, IndexArray]:
         """Cost (n,) of poses and the blob (n, papers) of each paper, -1 for none."""
-        _, cost, blob = self._compare(poses, 1.0)
+        _, cost, blob = self._compare(poses)
         seen = papers_in_view(poses[:, :2], self._room)
         # A hidden paper costs a little less than a missing one; without a cost, the best pose
         # would see none.
@@ -206,15 +205,13 @@ class _Problem:
         reach = np.maximum(np.hypot(away[..., 0], away[..., 1]), self._center_sigma_m)
         return np.hypot(_OUTLINE_SIGMA, self._center_sigma_m / np.maximum(reach, 1e-3))
 
-    def _compare(
-        self, poses: FloatArray, scale: float
-    ) -> tuple[FloatArray, FloatArray, IndexArray]:
+    def _compare(self, poses: FloatArray) -> tuple[FloatArray, FloatArray, IndexArray]:
         """Residuals (n, papers, 3) to the best blob, their cost and its index."""
         predicted = self._predicted(poses).reshape(len(poses), -1, 1, 3)
         residual = self._blobs - predicted
         residual[..., 0] = wrap_rad(residual[..., 0])
         residual /= self._sigma(poses)[..., None, None]
-        cost = np.sum(residual**2, -1) / scale**2 + self._misfit
+        cost = np.sum(residual**2, -1) + self._misfit
         blob = np.argmin(cost, axis=-1)
         best = np.take_along_axis(residual, blob[..., None, None], -2)[..., 0, :]
         return best, np.take_along_axis(cost, blob[..., None], -1)[..., 0], blob
