@@ -10,8 +10,9 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cache
+from functools import cache, partial
 from itertools import pairwise
+from typing import NamedTuple
 
 import cv2
 import numpy as np
@@ -177,11 +178,10 @@ _BIAS_PX = 0.003
 # An object has one range, and a size as seen, 0.6 m at 3 m. Relative sigma of the inverse range of
 # one on the wall behind it, 10 cm at 3 m, and of one anywhere, from 0.3 m to infinity; number of
 # objects that are parts of one thing, so that they are one piece of evidence about its distance
-# from walls; shares of things on walls and anywhere, and that of a thing whose range is unknown;
-# step of numerical differentiation.
+# from walls; shares of things on walls and anywhere, and that of a thing whose range is unknown.
 _OBJECT_RAD, _HANGING_SHARE, _ANYWHERE_SHARE, _PARTS = 0.2, 0.03, 3.0, 10.0
 _WHERE, _NOWHERE = np.array([0.7, 0.3]), np.array([[0.0, 1.0]])
-_RANGE_STEP, _LEAST_INVERSE = 1e-3, 1e-3
+_LEAST_INVERSE = 1e-3
 # Relative sigma of all ranges: 10 cm in front of the walls, at 3 m; of ranges that are a guess.
 _ROOM_SHARE, _GUESS_SHARE = 0.03, 0.5
 # Offsets from the axis that fits start with, m; iterations with free ranges before the offset is
@@ -242,13 +242,20 @@ class _Noise:
     farther: FloatArray | None = None
 
 
+class _Point(NamedTuple):
+    """Unknowns, residuals (m, 2) and noise there, and minus twice the logarithm of the density."""
+
+    x: FloatArray
+    off: FloatArray
+    noise: _Noise
+    cost: float
+
+
 @dataclass(frozen=True, eq=False)
 class _Optimum:
-    """Unknowns of a local optimum, with its noise, whitened Jacobian and normal equations."""
+    """A local optimum, with its whitened Jacobian and normal equations."""
 
-    cost: float
-    x: FloatArray
-    noise: _Noise
+    at: _Point
     flat: FloatArray
     normal: FloatArray
 
@@ -284,7 +291,7 @@ class OverlapProblem:
         self._object: IndexArray | None = None
         self._cells = np.zeros((0, 2), np.intp)
         if range_m is not None:
-            azimuth, tangent = (rays[:, 0] for rays in self._seen(self._last))
+            azimuth, tangent = self._seen(self._last)[0][..., 0].T
             self._range = range_m(azimuth, tangent)
             place = np.unique(_cells(azimuth, tangent), axis=0, return_inverse=True)
             self._cells, self._object = place[0], place[1].ravel()
@@ -309,23 +316,24 @@ class OverlapProblem:
                 start = np.zeros(len(every))
                 start[_OFFSET] = _OFFSETS_M * np.array([np.cos(around), np.sin(around)])
                 found.append(self._optimum(start, index, precision, _FIRST, _HELD))
-        best = min(found, key=lambda optimum: optimum.cost)
+        best = min(found, key=lambda optimum: optimum.at.cost)
         if best is not found[0]:
-            best = self._optimum(best.x, index, precision, _ITERATIONS)
-        best = self._optimum(best.x, index, precision, _ITERATIONS, share=best.noise.share)
-        self._last, weight = best.x, best.noise.weight
-        spread = covariance_of(best.normal)
-        by_pattern = float(weight.sum()) * (_BIAS_PX / best.noise.sigma_px) ** 2
+            best = self._optimum(best.at.x, index, precision, _ITERATIONS)
+        share = best.at.noise.share
+        best = self._optimum(best.at.x, index, precision, _ITERATIONS, share=share)
+        self._last, _, noise, _ = best.at
+        weight, spread = noise.weight, covariance_of(best.normal)
+        by_pattern = float(weight.sum()) * (_BIAS_PX / noise.sigma_px) ** 2
         spread += by_pattern * spread @ (best.flat.T @ best.flat) @ spread
         covariance, own = np.zeros((len(COMMON), len(COMMON))), index[: len(free)]
         covariance[np.ix_(own, own)] = spread[: len(free), : len(free)]
         turns = np.zeros((self._count, 3))
-        turns[self._used] = best.x[len(COMMON) :].reshape(-1, 3)
-        cells, farther = self._cells, best.noise.farther
+        turns[self._used] = self._last[len(COMMON) :].reshape(-1, 3)
+        common, cells, farther = self._last[: len(COMMON)], self._cells, noise.farther
         if farther is not None:
             cells, farther = cells[farther != 0.0], farther[farther != 0.0]
-            return Fit(best.x[: len(COMMON)], covariance, turns, weight, cells, farther)
-        return Fit(best.x[: len(COMMON)], covariance, turns, weight)
+            return Fit(common, covariance, turns, weight, cells, farther)
+        return Fit(common, covariance, turns, weight)
 
     def _optimum(
         self,
@@ -342,37 +350,54 @@ class OverlapProblem:
         A known `share` (k, 2) says which objects are on walls.
         """
         focal, damping = self._camera.fx, Damping()
+        at = self._point(x, precision, _NOWHERE if held else share)
         for n in range(iterations + held):
             which = np.setdiff1d(index, _OFFSET) if n < held else index
-            known = _NOWHERE if n < held else share
-            off = self._misfit(x)
-            noise = self._noise(x, off, known)
-            slopes = self._slopes_at(x, off)[..., which]
+            if n == held > 0:
+                at = self._point(at.x, precision, share)
+            noise, known = at.noise, _NOWHERE if n < held else share
+            slopes = self._slopes_at(at.x, at.off)[..., which]
             scale = np.sqrt(noise.weight) * focal / noise.sigma_px
             whiten = self._whitening(noise, scale)
             flat = whiten((slopes * scale[:, None, None]).reshape(-1, len(which)))
             normal = flat.T @ flat + np.diag(precision[which])
-            right = flat.T @ whiten((off * scale[:, None]).ravel()) + precision[which] * x[which]
-
-            def cost(at: FloatArray, known: FloatArray | None = known) -> float:
-                there = self._noise(at, self._misfit(at), known)
-                return there.cost + float(precision @ at**2)
-
-            before, x = x, self._stepped(x, which, normal, right, cost, damping)
-            if n >= held and focal * np.abs(x - before).max() < _CONVERGED_PX:
+            pull = flat.T @ whiten((at.off * scale[:, None]).ravel())
+            pull += precision[which] * at.x[which]
+            stepped = partial(self._stepped, at.x, which, normal, pull, precision, known)
+            before, at = at, damping.step(at, stepped, lambda point: point.cost)
+            if n >= held and focal * np.abs(at.x - before.x).max() < _CONVERGED_PX:
                 break
-        return _Optimum(cost(x), x, noise, flat, normal)
+        return _Optimum(at, flat, normal)
 
-    def _noise(self, x: FloatArray, off: FloatArray, known: FloatArray | None = None) -> _Noise:
+    def _stepped(
+        self,
+        x: FloatArray,
+        index: IndexArray,
+        normal: FloatArray,
+        pull: FloatArray,
+        precision: FloatArray,
+        known: FloatArray | None,
+        damping: float,
+    ) -> _Point:
+        """Unknowns after a damped step of those at `index`."""
+        there = x.copy()
+        there[index] -= solve_positive(normal + damping * np.diag(np.diag(normal)), pull)
+        return self._point(there, precision, known)
+
+    def _point(self, x: FloatArray, precision: FloatArray, known: FloatArray | None) -> _Point:
+        """Noise and cost at `x`; `known` shares (k, 2) say which objects are on walls."""
+        off, by_range = self._misfit(x)
+        noise = self._noise(off, by_range, known)
+        return _Point(x, off, noise, noise.cost + float(precision @ x**2))
+
+    def _noise(
+        self, off: FloatArray, by_range: FloatArray, known: FloatArray | None = None
+    ) -> _Noise:
         """Errors of matches by what ranges of their own leave of residuals (m, 2)."""
         # The relative inverse range of an object is that of its wall, or any: a mixture of two
         # normal distributions, of which the parallax of the object tells. Things that nobody
         # expects show their own range so, and do not bend the lens.
         focal, rest, parts = self._camera.fx, off, _PARTS if known is None else 1.0
-        if self._range is not None and self._object is not None:
-            given, self._range = self._range, self._range / (1.0 + _RANGE_STEP)
-            by_range = (self._misfit(x) - off) / _RANGE_STEP
-            self._range = given
         for _ in range(_NOISE_ROUNDS):
             distance = focal * np.linalg.norm(rest, axis=1)
             # Median of a Rayleigh distribution.
@@ -381,7 +406,7 @@ class OverlapProblem:
             # Student's t with four degrees of freedom, in the plane.
             weight = 1.0 / (1.0 + square)
             cost = float(4.0 * len(off) * np.log(sigma_px) + 6.0 * np.sum(np.log1p(square)))
-            if self._range is None or self._object is None:
+            if self._object is None:
                 return _Noise(sigma_px, weight, rest, cost)
             precise = weight * (focal / sigma_px) ** 2
             size = np.maximum(np.bincount(self._object, precise * np.sum(by_range**2, 1)), 1e-9)
@@ -399,24 +424,6 @@ class OverlapProblem:
         variance = parts / np.sum(share / prior, 1)
         farther = np.where(share[:, 1] > 0.5, farther, 0.0)
         return _Noise(sigma_px, weight, rest, cost, by_range, variance, share, farther)
-
-    def _stepped(
-        self,
-        x: FloatArray,
-        index: IndexArray,
-        normal: FloatArray,
-        right: FloatArray,
-        cost: Callable[[FloatArray], float],
-        damping: Damping,
-    ) -> FloatArray:
-        """Unknowns after one damped step; those at `index` are free."""
-
-        def stepped(by: float) -> FloatArray:
-            there: FloatArray = x.copy()
-            there[index] -= solve_positive(normal + by * np.diag(np.diag(normal)), right)
-            return there
-
-        return damping.step(x, stepped, cost)
 
     def _whitening(self, noise: _Noise, scale: FloatArray) -> Whitening:
         """Return a function that whitens residuals and slopes (2 m, ...) for errors of ranges."""
@@ -461,37 +468,46 @@ class OverlapProblem:
     def _rest(self, common: FloatArray, frames: FloatArray | None) -> FloatArray:
         """Residuals (m, 2) without what the ranges of objects explain."""
         turns = np.zeros_like(self._angles) if frames is None else frames[self._used]
-        x = np.append(common, turns)
-        return self._noise(x, self._misfit(x)).rest
+        return self._noise(*self._misfit(np.append(common, turns))).rest
 
-    def _misfit(self, x: FloatArray) -> FloatArray:
-        """Differences (m, 2) in azimuth and tangent between the two rays of each match."""
-        azimuth, tangent = self._seen(x)
-        return np.stack([wrap_rad(azimuth[:, 0] - azimuth[:, 1]), tangent @ [1.0, -1.0]], 1)
+    def _misfit(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """
+        Differences between the two rays of each match, and their derivatives by the range.
+
+        Both are (m, 2), of azimuth and tangent; the latter by the relative inverse range.
+        """
+        seen, by_range = self._seen(x)
+        off = seen[..., 0] - seen[..., 1]
+        off[:, 0] = wrap_rad(off[:, 0])
+        return off, by_range[..., 0] - by_range[..., 1]
 
     def _seen(self, x: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Azimuths and tangents (m, 2) of both rays of each match, at the axis."""
+        """
+        Directions of both rays of each match at the axis, and derivatives by the range.
+
+        Both are (m, 2, 2): azimuth and tangent of both rays.
+        """
         common, turns = x[: len(COMMON)], x[len(COMMON) :].reshape(-1, 3)
         known = corrected(self._prior, common)
         mount = known.mount
-        pan, tilt, roll = (_calibrated(self._angles, known) + turns)[self._links].T
-        rotation, center = mount.camera_pose_base(pan.T, tilt.T, roll.T)
+        rotation, center = mount.camera_pose_base(*(_calibrated(self._angles, known) + turns).T)
         lens = (float(common[0]), float(common[1]), float(common[7]))
         if lens not in self._rays:
             self._rays[lens] = known.camera(self._camera).unproject(self._overlaps.pixels)
-        ray = np.einsum('mkij,mkj->mki', rotation, self._rays[lens])
+        x, y, z = np.einsum('mkij,mkj->imk', rotation[self._links], self._rays[lens])
         if self._range is None:
-            azimuth = np.arctan2(ray[..., 1], ray[..., 0])
-            return azimuth, ray[..., 2] / np.hypot(ray[..., 0], ray[..., 1])
-        start = center - np.asarray(mount.axis_xyz)
-        flat, aside = ray[..., :2], start[..., :2]
-        square = np.sum(flat**2, -1)
-        along = np.sum(aside * flat, -1) / square
-        reach = self._range[:, None] ** 2 - np.sum(aside**2, -1)
-        length = np.sqrt(np.maximum(along**2 + reach / square, 1e-9)) - along
-        point = start + length[..., None] * ray
-        azimuth = np.arctan2(point[..., 1], point[..., 0])
-        return azimuth, point[..., 2] / self._range[:, None]
+            seen = np.stack([np.arctan2(y, x), z / np.hypot(x, y)], 1)
+            return seen, np.zeros_like(seen)
+        start = (center - np.asarray(mount.axis_xyz))[self._links]
+        out, square = self._range[:, None], x**2 + y**2
+        along = (start[..., 0] * x + start[..., 1] * y) / square
+        reach = (out**2 - np.sum(start[..., :2] ** 2, -1)) / square
+        root = np.sqrt(np.maximum(along**2 + reach, 1e-9))
+        at = [start[..., k] + (root - along) * ray for k, ray in enumerate((x, y, z))]
+        nearer = -(out**2) / (square * root)
+        turn = nearer * (at[0] * y - at[1] * x) / out**2
+        seen = np.stack([np.arctan2(at[1], at[0]), at[2] / out], 1)
+        return seen, np.stack([turn, (nearer * z + at[2]) / out], 1)
 
     def _slopes_at(self, x: FloatArray, here: FloatArray) -> FloatArray:
         """Jacobian at `x`, or at a nearby point, where it is as good."""
@@ -505,18 +521,18 @@ class OverlapProblem:
         for k, step in enumerate(_STEPS):
             moved = x.copy()
             moved[k] += step
-            out[..., k] = (self._misfit(moved) - here) / step
-        azimuth, tangent = self._seen(x)
+            out[..., k] = (self._misfit(moved)[0] - here) / step
+        seen, _ = self._seen(x)
         row, step = np.arange(len(here)), 1e-6
         for axis in range(3):
             # All frames turn at once; each side of a match depends on its own frame only.
             turned = x.copy()
             turned[len(COMMON) + axis :: 3] += step
-            there = self._seen(turned)
-            change = np.stack([wrap_rad(there[0] - azimuth), there[1] - tangent], 1) / step
+            change = self._seen(turned)[0] - seen
+            change[:, 0] = wrap_rad(change[:, 0])
             for side, sign in ((0, 1.0), (1, -1.0)):
                 column = len(COMMON) + 3 * self._links[:, side] + axis
-                out[row, :, column] += sign * change[..., side]
+                out[row, :, column] += sign / step * change[..., side]
         return out
 
 
