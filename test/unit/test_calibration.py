@@ -176,11 +176,14 @@ CUPBOARDS = (
 )
 
 
-def scenery(distance_m):
-    """What is seen through a wall of glass."""
+def scenery(away, distance_m=40.0):
+    """What is seen through a wall of glass, which is `away` (2,) from the middle of the room."""
     texture = smooth_texture(np.random.default_rng(4), 3.0 * distance_m, 1.5 * distance_m, 1.0)
-    center, size = np.array([2.0, -distance_m, 1.2]), (3.0 * distance_m, 1.5 * distance_m)
-    return Board(center, np.array([0.0, 1.0, 0.0]), *size, texture)
+    center = np.array([2.0 + distance_m * away[0], 1.5 + distance_m * away[1], 1.2])
+    return Board(center, -np.array([*away, 0.0]), 3.0 * distance_m, 1.5 * distance_m, texture)
+
+
+WINDOWS = (scenery((0.0, -1.0)), scenery((1.0, 0.0)), scenery((0.0, 1.0)))
 
 
 @pytest.mark.parametrize(
@@ -191,9 +194,10 @@ def scenery(distance_m):
         ((0.08, -0.05), 0.0, {'boards': CUPBOARDS}),
         # As high as the camera sees.
         ((0.015, -0.012), 0.0, {'boards': (cupboard((1.4, 0.55), (0.0, 1.0), 1.6, 2.4),)}),
-        ((0.015, -0.012), 0.0, {'boards': (scenery(40.0),), 'glass': (0,)}),
+        ((0.015, -0.012), 0.0, {'boards': WINDOWS[:1], 'glass': (0,)}),
+        ((0.015, -0.012), 0.0, {'boards': WINDOWS, 'glass': (0, 1, 2)}),
     ],
-    ids=['leaning axis', 'uneven brightness', 'furniture', 'bookcase', 'window'],
+    ids=['leaning axis', 'uneven brightness', 'furniture', 'bookcase', 'window', 'glass house'],
 )
 def test_the_covariance_contains_all_errors(offset, lean_rad, conditions):
     """By two sweeps, of a camera whose offset is not given."""

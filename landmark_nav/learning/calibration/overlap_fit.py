@@ -12,13 +12,11 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cache, partial
 from itertools import pairwise
-from typing import NamedTuple
 
 import cv2
 import numpy as np
 import numpy.typing as npt
 from scipy.sparse import csr_array
-from scipy.special import logsumexp
 
 from landmark_nav.arrays import IndexArray
 from landmark_nav.calibration import Calibration, NAMES
@@ -175,21 +173,27 @@ _CONVERGED_PX = 5e-3
 _NEAR_PX = 0.3
 # Bias of tracking in any pattern, which does not decrease with the number of points.
 _BIAS_PX = 0.003
-# An object has one range, and a size as seen, 0.6 m at 3 m. Relative sigma of the inverse range of
-# one on the wall behind it, 10 cm at 3 m, and of one anywhere, from 0.3 m to infinity; number of
-# objects that are parts of one thing, so that they are one piece of evidence about its distance
-# from walls; shares of things on walls and anywhere, and that of a thing whose range is unknown.
-_OBJECT_RAD, _HANGING_SHARE, _ANYWHERE_SHARE, _PARTS = 0.2, 0.03, 3.0, 10.0
-_WHERE, _NOWHERE = np.array([0.7, 0.3]), np.array([[0.0, 1.0]])
-_LEAST_INVERSE = 1e-3
+# What a match shows is on the wall behind it, outside of a window, or anywhere: means and sigmas
+# of the share by which its inverse range is less than that of the wall (hanging 10 cm off at 3 m;
+# 6 m away or farther; from half the range on), and prior probabilities, which count as this number
+# of matches in each cell. What is off the wall is on it with less than the last probability:
+# otherwise the noise of a match would choose.
+_FARTHER, _FARTHER_SIGMA = np.array([0.0, 0.9, 0.0]), np.array([0.03, 0.1, 1.0])
+_KINDS, _PRIOR_MATCHES, _OFF_WALL = np.array([0.7, 0.15, 0.15]), 10.0, 0.01
+_ANYWHERE = len(_KINDS) - 1
+# What is of one kind in a cell has one range; a cell is 0.6 m at 3 m.
+_CELL_RAD, _LEAST_INVERSE = 0.2, 1e-3
 # Relative sigma of all ranges: 10 cm in front of the walls, at 3 m; of ranges that are a guess.
 _ROOM_SHARE, _GUESS_SHARE = 0.03, 0.5
-# Offsets from the axis that fits start with, m; iterations with free ranges before the offset is
-# free, and those after which the best fit is known.
+# Offsets from the axis that fits start with, m, and ratios of offsets to the best of these;
+# iterations with free ranges before the offset is free, and those after which the best is known.
 _OFFSETS_M, _DIRECTIONS, _HELD, _FIRST = 0.02, 8, 2, 4
+_RATIOS = 0.2, 0.33, 0.5, 0.7, 1.4, 2.0, 3.0, 5.0
 
 RangeOfRay = Callable[[FloatArray, FloatArray], FloatArray]
 Whitening = Callable[[FloatArray], FloatArray]
+# Unknowns, residuals (m, 2), and their derivatives (m, 2) by the relative inverse range.
+_Misfit = tuple[FloatArray, FloatArray, FloatArray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,7 +204,7 @@ class Fit:
     `common` (8,) are the values of `COMMON`, with their covariance (8, 8), zero for fixed terms,
     by the scatter of the matches and by biases of tracking in any pattern; `frames` (n, 3) are
     pan, tilt and roll of each frame, zero without matches; `weight` (m,) are those of the matches.
-    `cells` (k, 2) are those of azimuth and tangent of the objects that are not on walls, and
+    `cells` (k, 2) are those of azimuth and tangent that show more off the walls than on them, and
     `farther` (k,) by how much their inverse range is less than that of the walls, relative to it.
     """
 
@@ -225,37 +229,32 @@ class _Noise:
     """
     Errors of matches and of ranges at one set of unknowns.
 
-    `weight` (m,) are those of matches, and `rest` (m, 2) their residuals without what ranges of
-    objects explain. `by_range` (m, 2) are derivatives of residuals by the relative inverse range
-    of each object, with this `variance` (k,); `share` (k, 2) are the probabilities that it is on
-    the wall, or anywhere, and it is `farther` (k,) than the wall, or 0 on it. All are None without
-    ranges. `cost` is minus twice the logarithm of the likelihood.
+    `weight` (m,) are those of matches, `rest` (m, 2) their residuals without what ranges of
+    objects explain, and `mean` (m,) the expected share by which the inverse range of their kind is
+    less than that of the wall. An object is what is of one kind in one cell: `place` (m,) are
+    those of the matches, `variance` (n,) those of their ranges, and `by_range` (m, 2) the
+    derivatives of residuals by these. A cell is `farther` (k,) than the wall, or 0 on it. All are
+    None without ranges. `cost` is minus twice the logarithm of the likelihood.
     """
 
     sigma_px: float
     weight: FloatArray
     rest: FloatArray
     cost: float
+    mean: FloatArray
     by_range: FloatArray | None = None
+    place: IndexArray | None = None
     variance: FloatArray | None = None
-    share: FloatArray | None = None
     farther: FloatArray | None = None
-
-
-class _Point(NamedTuple):
-    """Unknowns, residuals (m, 2) and noise there, and minus twice the logarithm of the density."""
-
-    x: FloatArray
-    off: FloatArray
-    noise: _Noise
-    cost: float
 
 
 @dataclass(frozen=True, eq=False)
 class _Optimum:
-    """A local optimum, with its whitened Jacobian and normal equations."""
+    """Unknowns of a local optimum, with its noise, whitened Jacobian and normal equations."""
 
-    at: _Point
+    cost: float
+    x: FloatArray
+    noise: _Noise
     flat: FloatArray
     normal: FloatArray
 
@@ -287,14 +286,16 @@ class OverlapProblem:
         self._slopes: tuple[FloatArray, FloatArray] | None = None
         self._range: FloatArray | None = None
         self._room_share = _GUESS_SHARE if guessed else _ROOM_SHARE
-        self._shares = np.array([_GUESS_SHARE if guessed else _HANGING_SHARE, _ANYWHERE_SHARE])
-        self._object: IndexArray | None = None
+        self._variance = _FARTHER_SIGMA**2
+        if guessed:
+            self._variance = np.maximum(self._variance, _GUESS_SHARE**2)
+        self._cell: IndexArray | None = None
         self._cells = np.zeros((0, 2), np.intp)
         if range_m is not None:
             azimuth, tangent = self._seen(self._last)[0][..., 0].T
             self._range = range_m(azimuth, tangent)
-            place = np.unique(_cells(azimuth, tangent), axis=0, return_inverse=True)
-            self._cells, self._object = place[0], place[1].ravel()
+            cells = np.unique(_cells(azimuth, tangent), axis=0, return_inverse=True)
+            self._cells, self._cell = cells[0], cells[1].ravel()
 
     def fit(self, free: Sequence[int], frame_sigma: Sequence[float]) -> Fit:
         """
@@ -309,19 +310,23 @@ class OverlapProblem:
         precision[len(COMMON) :] = np.tile(1.0 / np.square(frame_sigma), len(self._angles))
         found = [self._optimum(start, index, precision, _ITERATIONS)]
         # Things before or beyond the walls look like another offset of the camera, which is a
-        # local optimum: the likeliest of several is the result. To choose it, all of a large thing
-        # is one piece of evidence; once it is known what is on walls, all parts are.
+        # local optimum: the likeliest of several is the result.
         if self._range is not None and set(_OFFSET) <= set(free):
             for around in 2.0 * np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS:
                 start = np.zeros(len(every))
                 start[_OFFSET] = _OFFSETS_M * np.array([np.cos(around), np.sin(around)])
                 found.append(self._optimum(start, index, precision, _FIRST, _HELD))
-        best = min(found, key=lambda optimum: optimum.at.cost)
+            # Parallax shows the product of offset and inverse range: if most of what is seen is
+            # outside, it looks like the walls of a camera with a smaller offset.
+            likeliest = min(found, key=lambda optimum: optimum.cost).x
+            for ratio in _RATIOS:
+                start = likeliest.copy()
+                start[_OFFSET] *= ratio
+                found.append(self._optimum(start, index, precision, _FIRST, _HELD))
+        best = min(found, key=lambda optimum: optimum.cost)
         if best is not found[0]:
-            best = self._optimum(best.at.x, index, precision, _ITERATIONS)
-        share = best.at.noise.share
-        best = self._optimum(best.at.x, index, precision, _ITERATIONS, share=share)
-        self._last, _, noise, _ = best.at
+            best = self._optimum(best.x, index, precision, _ITERATIONS)
+        self._last, noise = best.x, best.noise
         weight, spread = noise.weight, covariance_of(best.normal)
         by_pattern = float(weight.sum()) * (_BIAS_PX / noise.sigma_px) ** 2
         spread += by_pattern * spread @ (best.flat.T @ best.flat) @ spread
@@ -342,32 +347,40 @@ class OverlapProblem:
         precision: FloatArray,
         iterations: int,
         held: int = 0,
-        share: FloatArray | None = None,
     ) -> _Optimum:
-        """
-        Local optimum from a start; the unknowns at `index` are free, the offset not while `held`.
-
-        A known `share` (k, 2) says which objects are on walls.
-        """
-        focal, damping = self._camera.fx, Damping()
-        at = self._point(x, precision, _NOWHERE if held else share)
+        """Local optimum; the unknowns at `index` are free, the offset not in those `held`."""
+        focal, damping, at = self._camera.fx, Damping(), (x, *self._misfit(x))
         for n in range(iterations + held):
             which = np.setdiff1d(index, _OFFSET) if n < held else index
-            if n == held > 0:
-                at = self._point(at.x, precision, share)
-            noise, known = at.noise, _NOWHERE if n < held else share
-            slopes = self._slopes_at(at.x, at.off)[..., which]
+            noise = self._noise(*at[1:], n < held)
+            # Parallax is less beyond the walls.
+            slopes = self._slopes_at(at[0], at[1]).copy()
+            slopes[..., _OFFSET] *= (1.0 - noise.mean)[:, None, None]
             scale = np.sqrt(noise.weight) * focal / noise.sigma_px
             whiten = self._whitening(noise, scale)
-            flat = whiten((slopes * scale[:, None, None]).reshape(-1, len(which)))
+
+            def residuals(
+                off: FloatArray,
+                by_range: FloatArray,
+                mean: FloatArray = noise.mean,
+                scale: FloatArray = scale,
+                whiten: Whitening = whiten,
+            ) -> FloatArray:
+                return whiten(((off - by_range * mean[:, None]) * scale[:, None]).ravel())
+
+            flat = whiten((slopes[..., which] * scale[:, None, None]).reshape(-1, len(which)))
             normal = flat.T @ flat + np.diag(precision[which])
-            pull = flat.T @ whiten((at.off * scale[:, None]).ravel())
-            pull += precision[which] * at.x[which]
-            stepped = partial(self._stepped, at.x, which, normal, pull, precision, known)
-            before, at = at, damping.step(at, stepped, lambda point: point.cost)
-            if n >= held and focal * np.abs(at.x - before.x).max() < _CONVERGED_PX:
+            pull = flat.T @ residuals(*at[1:]) + precision[which] * at[0][which]
+            stepped = partial(self._stepped, at[0], which, normal, pull)
+
+            def cost(there: _Misfit, residuals: Callable[..., FloatArray] = residuals) -> float:
+                return float(np.sum(residuals(*there[1:]) ** 2) + precision @ there[0] ** 2)
+
+            before, at = at, damping.step(at, stepped, cost)
+            if n >= held and focal * np.abs(at[0] - before[0]).max() < _CONVERGED_PX:
                 break
-        return _Optimum(at, flat, normal)
+        noise = self._noise(*at[1:])
+        return _Optimum(noise.cost + float(precision @ at[0] ** 2), at[0], noise, flat, normal)
 
     def _stepped(
         self,
@@ -375,29 +388,24 @@ class OverlapProblem:
         index: IndexArray,
         normal: FloatArray,
         pull: FloatArray,
-        precision: FloatArray,
-        known: FloatArray | None,
         damping: float,
-    ) -> _Point:
-        """Unknowns after a damped step of those at `index`."""
+    ) -> _Misfit:
+        """Unknowns after a damped step of those at `index`, with the misfit there."""
         there = x.copy()
         there[index] -= solve_positive(normal + damping * np.diag(np.diag(normal)), pull)
-        return self._point(there, precision, known)
+        return there, *self._misfit(there)
 
-    def _point(self, x: FloatArray, precision: FloatArray, known: FloatArray | None) -> _Point:
-        """Noise and cost at `x`; `known` shares (k, 2) say which objects are on walls."""
-        off, by_range = self._misfit(x)
-        noise = self._noise(off, by_range, known)
-        return _Point(x, off, noise, noise.cost + float(precision @ x**2))
+    def _noise(self, off: FloatArray, by_range: FloatArray, anywhere: bool = False) -> _Noise:
+        """
+        Errors of matches by what ranges of their own leave of residuals (m, 2).
 
-    def _noise(
-        self, off: FloatArray, by_range: FloatArray, known: FloatArray | None = None
-    ) -> _Noise:
-        """Errors of matches by what ranges of their own leave of residuals (m, 2)."""
-        # The relative inverse range of an object is that of its wall, or any: a mixture of two
-        # normal distributions, of which the parallax of the object tells. Things that nobody
-        # expects show their own range so, and do not bend the lens.
-        focal, rest, parts = self._camera.fx, off, _PARTS if known is None else 1.0
+        All is `anywhere`, or of the likeliest kind: things that nobody expects show their own
+        range, and do not bend the lens.
+        """
+        focal = self._camera.fx
+        shown = np.maximum(np.sum(by_range**2, 1), 1e-12)
+        seen = np.minimum(np.sum(by_range * off, 1) / shown, 1.0)
+        rest, where = off - by_range * seen[:, None], np.tile(_KINDS, (len(self._cells), 1))
         for _ in range(_NOISE_ROUNDS):
             distance = focal * np.linalg.norm(rest, axis=1)
             # Median of a Rayleigh distribution.
@@ -406,43 +414,53 @@ class OverlapProblem:
             # Student's t with four degrees of freedom, in the plane.
             weight = 1.0 / (1.0 + square)
             cost = float(4.0 * len(off) * np.log(sigma_px) + 6.0 * np.sum(np.log1p(square)))
-            if self._object is None:
-                return _Noise(sigma_px, weight, rest, cost)
-            precise = weight * (focal / sigma_px) ** 2
-            size = np.maximum(np.bincount(self._object, precise * np.sum(by_range**2, 1)), 1e-9)
-            seen = np.bincount(self._object, precise * np.sum(by_range * off, 1)) / size
-            prior = self._shares**2
-            spread = prior + 1.0 / size[:, None]
-            likely = np.log(_WHERE) - 0.5 * (np.log(spread) + seen[:, None] ** 2 / spread)
-            total = logsumexp(likely, 1, keepdims=True)
-            share = np.exp(likely - total) if known is None else known
-            evidence = total if known is None else np.sum(share * likely, 1)
+            if self._cell is None:
+                return _Noise(sigma_px, weight, rest, cost, np.zeros(len(off)))
+            size = weight * (focal / sigma_px) ** 2 * shown
+            away, spread = seen[:, None] - _FARTHER, self._variance + 1.0 / size[:, None]
+            likely = np.log(where[self._cell]) - 0.5 * (np.log(spread) + away**2 / spread)
+            likely[:, 0] -= np.log(_OFF_WALL)
+            kind = np.full(len(off), _ANYWHERE) if anywhere else np.argmax(likely, 1)
+            place = len(_KINDS) * self._cell + kind
+            mean = _FARTHER[kind]
+
+            def of_objects(values: FloatArray, place: IndexArray = place) -> FloatArray:
+                found = np.bincount(place, values, len(_KINDS) * len(self._cells))
+                return np.asarray(found.reshape(-1, len(_KINDS)), np.float64)
+
+            sizes, count = of_objects(size), of_objects(np.ones(len(off)))
             # Nothing is beyond infinity.
-            farther = np.minimum(np.sum(share * prior / spread, 1) * seen, 1.0)
-            rest = off - by_range * farther[self._object][:, None]
-            cost += float(np.sum(np.log(size)) - 2.0 * np.sum(evidence)) / parts
-        variance = parts / np.sum(share / prior, 1)
-        farther = np.where(share[:, 1] > 0.5, farther, 0.0)
-        return _Noise(sigma_px, weight, rest, cost, by_range, variance, share, farther)
+            moved = of_objects(size * (seen - mean)) / (sizes + 1.0 / self._variance)
+            ranges = np.minimum(_FARTHER + moved, 1.0)
+            rest = off - by_range * ranges.ravel()[place][:, None]
+            where = _PRIOR_MATCHES * _KINDS + count
+            where /= where.sum(1, keepdims=True)
+            cost += float(np.sum(np.log1p(self._variance * sizes) + moved**2 / self._variance))
+            cost -= 2.0 * float(np.sum((_PRIOR_MATCHES * _KINDS + count) * np.log(where)))
+        most = np.argmax(count, 1)
+        farther = np.where(most == 0, 0.0, ranges[np.arange(len(most)), most])
+        variance = np.tile(self._variance, len(self._cells))
+        return _Noise(sigma_px, weight, rest, cost, mean, by_range, place, variance, farther)
 
     def _whitening(self, noise: _Noise, scale: FloatArray) -> Whitening:
         """Return a function that whitens residuals and slopes (2 m, ...) for errors of ranges."""
         # One error is common to all matches of an object, another to all of the room, as most
         # things stand in front of walls: with derivatives j by the error of an object, the
         # covariance of their residuals is ``1 + v j j^T``.
-        if noise.by_range is None or noise.variance is None or self._object is None:
+        if noise.by_range is None or noise.variance is None or noise.place is None:
             return lambda rows: rows
         by_range = noise.by_range * scale[:, None]
-        square = np.bincount(self._object, np.sum(by_range**2, 1))
-        place = np.repeat(self._object, 2), np.arange(by_range.size)
-        along = csr_array((by_range.ravel(), place))
+        objects = len(noise.variance)
+        square = np.bincount(noise.place, np.sum(by_range**2, 1), objects)
+        place = np.repeat(noise.place, 2), np.arange(by_range.size)
+        along = csr_array((by_range.ravel(), place), (objects, by_range.size))
         share = _whitening_share(noise.variance, square)
 
         def by_object(rows: FloatArray) -> FloatArray:
             return np.asarray(rows - along.T @ ((share * (along @ rows).T).T))
 
         # The same for one error of all ranges.
-        every = by_object(by_range.ravel())
+        every = by_object((by_range * (1.0 - noise.mean)[:, None]).ravel())
         common = _whitening_share(self._room_share**2, every @ every) * every
 
         def whiten(rows: FloatArray) -> FloatArray:
@@ -538,7 +556,7 @@ class OverlapProblem:
 
 def _cells(azimuth: FloatArray, tangent: FloatArray) -> IndexArray:
     """Cells (..., 2) of directions; what one cell shows is one object."""
-    place = np.stack(np.broadcast_arrays(wrap_rad(azimuth), tangent), -1) / _OBJECT_RAD
+    place = np.stack(np.broadcast_arrays(wrap_rad(azimuth), tangent), -1) / _CELL_RAD
     return np.floor(place).astype(np.intp)
 
 
