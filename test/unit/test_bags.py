@@ -41,6 +41,7 @@ def mcap_file(
     indexed=True,
     chunk_size=20_000,
     compression=CompressionType.ZSTD,
+    surplus=b'',
 ):
     """MCAP with messages in any order, with or without an index."""
     with path.open('wb') as stream:
@@ -57,7 +58,8 @@ def mcap_file(
                 schema = writer.register_schema(entry.type_name, 'ros2msg', text)
                 channels[entry.topic] = writer.register_channel(entry.topic, 'cdr', schema)
             stamp = entry.stamp_ns
-            writer.add_message(channels[entry.topic], stamp, bytes(entry.data), stamp)
+            data = bytes(entry.data) + surplus
+            writer.add_message(channels[entry.topic], stamp, data, stamp)
         writer.finish()
     return path
 
@@ -139,6 +141,15 @@ def test_bag_is_a_rosbag2_folder_and_comes_back_in_order(odometry_bag):
     assert [e.stamp_ns for e in entries] == sorted(e.stamp_ns for e in entries)
     assert decode.odometry(entries[7].message).pose_odom_base[0] == pytest.approx(0.07)
     assert entries[7].type_name == 'nav_msgs/msg/Odometry'
+
+
+def test_padding_behind_messages_as_rclpy_writes_it_is_passed_over(odometry_bag, tmp_path):
+    padded = mcap_file(odometry_bag, tmp_path / 'padded.mcap', surplus=bytes(8))
+    read, given = (list(Bag(bag).messages()) for bag in (padded, odometry_bag))
+    assert [repr(entry.message) for entry in read] == [repr(entry.message) for entry in given]
+    longer = mcap_file(odometry_bag, tmp_path / 'longer.mcap', surplus=bytes(16))
+    with pytest.raises(LandmarkNavError, match='not a'):
+        assert next(iter(Bag(longer).messages())).message is None
 
 
 @pytest.mark.parametrize('share', [0.02, 0.3, 0.77, 0.995])

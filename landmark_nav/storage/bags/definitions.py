@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
+from contextlib import suppress
 from typing import Any
 
 from rosbags.interfaces import Nodetype
+from rosbags.serde import SerdeError
 from rosbags.typesys import get_types_from_idl, get_types_from_msg, get_typestore, Stores
 from rosbags.typesys.store import Typestore
 
@@ -165,7 +167,14 @@ class MessageReader:
 
     def message(self, data: bytes | memoryview) -> Any:
         """Return a message from its bytes in the serialisation of ROS 2 (CDR)."""
-        return self._store.deserialize_cdr(data, self.type_name)
+        try:
+            return self._store.deserialize_cdr(data, self.type_name)
+        except SerdeError:
+            # `rclpy.serialize_message` adds up to 8 bytes to messages with empty sequences.
+            for surplus in (4, 8):
+                with suppress(SerdeError):
+                    return self._store.deserialize_cdr(data[:-surplus], self.type_name)
+            raise
 
 
 def has_header(type_name: str) -> bool:
