@@ -251,7 +251,6 @@ class Bag:
             raise LandmarkNavError(
                 f'{self.path}: it is a recording of {kind}: topic {alternatives[0]} is missing'
             )
-        there = definitions.listed(self._filled()) or 'none'
         choices = [
             f'--topic {name}={topic}'
             for name in alternatives
@@ -259,10 +258,9 @@ class Bag:
             if kind == definitions.TOPIC_TYPES[name]
             and definitions.relative_name(topic) not in definitions.TOPIC_TYPES
         ]
-        remedy = f', or give {" or ".join(choices[:2])}' if choices else ''
-        raise LandmarkNavError(
-            f'{self.path}: topic {alternatives[0]} is missing: record it{remedy}; it has {there}'
-        )
+        there = definitions.listed(self._filled()) or 'none'
+        remedy = f'give {" or ".join(choices[:2])}' if choices else f'record it; it has {there}'
+        raise LandmarkNavError(f'{self.path}: topic {alternatives[0]} is missing: {remedy}')
 
     def _filled(self) -> dict[str, str]:
         """Types of the topics that have messages."""
