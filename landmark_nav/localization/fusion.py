@@ -66,6 +66,8 @@ _MAY_STEP = {
 _CONTRADICTION = 5.0
 # Sigmas by which ways by odometry and in the map differ, so that one of both is wrong.
 _SCALE_SIGMAS = 3.0
+# What was moved by less may be a landmark that was learned inexactly: nobody has to learn again.
+_MOVED_M = 0.03
 # Log odds above which an OK pose is certainly right: what was estimated by then is kept.
 _TRUSTED = 4.0
 # Prior log odds that a given start is right: one in a hundred is another place.
@@ -370,6 +372,7 @@ class Fusion:
         moved = [
             f'by {100.0 * hypot(*by):.0f} cm near x {x:.1f} y {y:.1f}'
             for (x, y, _), by in self._line.filter.moved_objects
+            if hypot(*by) > _MOVED_M
         ]
         if moved:
             more = f' and {len(moved) - 3} more' if len(moved) > 3 else ''
