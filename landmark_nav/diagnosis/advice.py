@@ -206,11 +206,14 @@ def _unit(slopes: Linear, room: Room | None) -> Iterator[Finding]:
     if room is not None and np.isfinite(expected := nearness_of_room(room)):
         usual, low, high = expected, expected / _OF_ROOM, expected * _OF_ROOM
     values = {'nearness_per_m': size, 'sigma_per_m': sigma}
-    if size + 4.0 * sigma < low or size - 4.0 * sigma > high:
+    most = size + 4.0 * sigma
+    if most < low or size - 4.0 * sigma > high:
         unit = unit_of(usual / size)
         like = f', as if in {unit}' if unit else ''
         remedy = '' if unit else '; check the radius of the wheels'
-        yield Code.UNIT.found(usual / size, like, remedy, **values)
+        # What is outside of windows is farther than a room.
+        level: Level = 'warning' if _FAR <= most < low else 'error'
+        yield Code.UNIT.at(level, usual / size, like, remedy, **values)
     elif size > 4.0 * sigma:
         yield Code.DISTANCE.found(1.0 / size, **values)
 
