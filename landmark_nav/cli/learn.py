@@ -70,9 +70,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     text = 'coloured papers of this size hang upright somewhere: they give the scale (without '
     text += 'papers in --room; width and height in metres, A4: 0.210 0.297)'
     add(parser, '--paper-size', nargs=2, type=float, metavar=('W', 'H'), help=text)
-    text = 'ArUco or AprilTag markers of this size, the side of the black square in metres, do'
+    text = 'ArUco or AprilTag markers of this side (black square, m) give the scale'
     add(parser, '--marker-size', type=float, metavar='M', help=text)
-    add(parser, '--marker-dictionary', metavar='NAME', help='theirs (default: DICT_4X4_50)')
+    text = 'dictionary of the markers (default: DICT_4X4_50)'
+    add(parser, '--marker-dictionary', metavar='NAME', help=text)
     add(parser, '--json', help='write counts, errors and times to F')
     text = 'write a page with the map, the panoramas and all candidates to F.html'
     add(parser, '--report', help=text)

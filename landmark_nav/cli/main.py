@@ -50,7 +50,7 @@ COMMANDS = {
     'status': ('print how the nodes are (ROS)', 'status'),
     'batch': ('many recordings at once, one table',
               'batch jobs.yaml --out results --against earlier'),
-    'map': ('list, check, compare, join maps', 'map show map'),
+    'map': ('work on maps: show, check, diff, merge, migrate', 'map show map'),
     'figures': ('draw the figures of Livatino and Madsen from own data', 'figures --out figures'),
     'bench': ('time every stage beside a reference', 'bench --json bench.json'),
     'completion': ('print what makes a shell complete commands',
