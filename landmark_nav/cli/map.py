@@ -198,7 +198,7 @@ def describe_map(landmarks: LandmarkMap) -> str:
         'NCC: least correlation at which it counts as found',
         f'{len(landmarks.landmarks)} landmarks in frame {landmarks.frame_id}: {on_walls}',
         *(
-            f'panorama of {p.stamp_ns * 1e-9:.3f} s: optical centre at '
+            f'panorama of {p.stamp_ns * 1e-9:.3f} s: pan axis at '
             f'({p.pose[0]:.3f}, {p.pose[1]:.3f}) m, {np.degrees(p.pose[2]):.2f} deg; sigma '
             f'{100 * np.sqrt(np.trace(p.covariance[:2, :2])):.2f} cm, '
             f'{np.degrees(np.sqrt(p.covariance[2, 2])):.3f} deg'
