@@ -97,6 +97,7 @@ def run(args: argparse.Namespace) -> int:
         if room is not None and placed:
             panoramas, frames = panoramas_of_bag(bag, room, given, log)
         else:
+            check_scale(bag, config, args.room)
             located, frames = located_sweeps(bag, given, config, log)
             if room is not None:
                 located = unmeasured.with_plan(located, room)
@@ -162,10 +163,15 @@ def is_placed(bag: Bag, room: Room) -> bool:
     return bool(room.anchors or bag.find('sweep/pose'))
 
 
-def check_scale(bag: Bag, config: Configuration) -> None:
-    """Raise `LandmarkNavError` if nothing gives the scale of sweeps without a plan."""
+def check_scale(bag: Bag, config: Configuration, walls_file: str | None = None) -> None:
+    """Raise `LandmarkNavError` if nothing gives the scale of sweeps without a plan but walls."""
     sheets = config.unmeasured.sheets
     if not (bag.find('odom', 'sweep/pose') or sheets.has_papers or sheets.has_markers):
+        if walls_file:
+            raise LandmarkNavError(
+                f'{walls_file}: has no papers and nothing else gives the scale: give --paper-size '
+                'or --marker-size, or record odom'
+            )
         raise LandmarkNavError(
             f'{bag.path}: nothing gives the scale: record odom, publish sweep/pose, hang sheets '
             '(--paper-size, --marker-size of learn), or measure walls and papers (--room)'

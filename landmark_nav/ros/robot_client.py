@@ -289,7 +289,7 @@ class RobotClient:
         rank = {level: k for k, level in enumerate(_LEVELS.values())}
         others = [(name, status) for name, status in self.status.items() if name != self.name]
         if not others:
-            return 'no diagnostics of any node: is ROS_DOMAIN_ID theirs?'
+            return 'no node is heard: start them: landmark-nav up (or is ROS_DOMAIN_ID theirs?)'
         by_level = max(others, key=lambda one: rank.get(one[1].level, len(rank)))
         name, status = (of, self.status[of]) if of else by_level
         ago_s = time.monotonic() - status.heard_s

@@ -148,14 +148,18 @@ def patch_reader(folder: Path) -> Callable[[str], ImageArray]:
     """
     Return a function that reads the grey pixels (h, w) of a patch by its name in a map folder.
 
-    The function raises `LandmarkNavError` if the file is no image, or if all patches together have
-    too many pixels.
+    The function raises `LandmarkNavError` if the file is absent or no image, or if all patches
+    together have too many pixels.
     """
     pixels = 0
 
     def patch_of(name: str) -> ImageArray:
         nonlocal pixels
-        patch = read_image(folder / name, cv2.IMREAD_GRAYSCALE, _MAX_PATCH_PIXELS)
+        file = folder / name
+        if not file.exists():
+            remedy = 'the map is incomplete: copy it again or learn anew'
+            raise LandmarkNavError(f'{file}: not there: {remedy}')
+        patch = read_image(file, cv2.IMREAD_GRAYSCALE, _MAX_PATCH_PIXELS)
         pixels += patch.size
         if pixels > _MAX_MAP_PIXELS:
             many = f'over {_MAX_MAP_PIXELS / 1e6:g} million pixels'

@@ -39,6 +39,8 @@ _CONSTRUCT = {
 # YAML 1.2 and JSON write 1e-3, which PyYAML (YAML 1.1) takes for text.
 _EXPONENT = re.compile(r'[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+')
 _ABSENT = object()
+# Kind of a file -> key at its top level that others lack.
+_KEY_OF_KIND = {'robot': 'pan_axis', 'room': 'walls'}
 
 
 def check_regular(path: Path) -> int:
@@ -105,9 +107,11 @@ def read_text(path: Path, max_bytes: int = _MAX_BYTES) -> str:
         raise LandmarkNavError(f'{path}: line {line}: not UTF-8 text: save it as UTF-8') from error
 
 
-def read_yaml_mapping(path: Path) -> dict[str, Any]:
+def read_yaml_mapping(path: Path, kind: str = '') -> dict[str, Any]:
     """
     Return the top-level mapping of a YAML file; it is empty if the file is.
+
+    If a `kind` is given (robot, room, config), a file of another one is refused.
 
     Values follow YAML 1.1; numbers may also be written as in JSON. Dates are text. Tags and
     aliases are refused.
@@ -119,15 +123,23 @@ def read_yaml_mapping(path: Path) -> dict[str, Any]:
     try:
         document = _document(yaml.parse(text, Loader=_LOADER))
     except yaml.MarkedYAMLError as error:
-        line = '' if error.problem_mark is None else f'line {error.problem_mark.line + 1}: '
-        raise LandmarkNavError(f'{path}: not YAML: {line}{error.problem}') from error
+        mark, what = error.problem_mark, error.problem
+        if mark is not None and text[mark.index : mark.index + 1] == '\t':
+            what = 'a tab: indent with spaces'
+        line = '' if mark is None else f'line {mark.line + 1}: '
+        raise LandmarkNavError(f'{path}: not YAML: {line}{what}') from error
     except yaml.YAMLError as error:
         raise LandmarkNavError(f'{path}: not YAML: {" ".join(str(error).split())}') from error
     except LandmarkNavError as error:
         raise LandmarkNavError(f'{path}: {error}') from error
     if not isinstance(document, dict | None):
         raise LandmarkNavError(f'{path}: holds no mapping')
-    return document or {}
+    document = document or {}
+    for other, key in _KEY_OF_KIND.items() if kind else ():
+        if key in document and _KEY_OF_KIND.get(kind) not in document:
+            how = f'give it as --{other} (nodes: {other}_file)'
+            raise LandmarkNavError(f'{path}: this is a {other} file: {how}')
+    return document
 
 
 def _document(events: Iterator[yaml.Event]) -> Any:
@@ -202,8 +214,9 @@ def _scalar(text: str) -> Any:
 
 # Greatest negative eigenvalue and asymmetry of a covariance, relative to its largest eigenvalue.
 _ROUNDING = 1e-9
-# Least similarity (`difflib`) at which an unknown name is a misspelt known one.
-_ALIKE = 0.8
+# Least similarity (`difflib`) at which an unknown name is a misspelt known one, and a misspelt
+# required one that is missing.
+_ALIKE, _ALIKE_MISSING = 0.8, 0.6
 # Greatest number of unknown fields that are compared, which takes long. With more, the file is
 # of another kind.
 _MOST_COMPARED = 100
@@ -229,8 +242,12 @@ class Entry:
         self._mapping, self.where = mapping, where
         absent = [key for key in known if key not in mapping]
         strange = [key for key in mapping if key not in known and len(str(key)) < _MAX_NAME_LENGTH]
-        for key in strange[:_MOST_COMPARED] if absent else ():
-            if meant := difflib.get_close_matches(str(key), absent, 1, _ALIKE):
+        self._strange = strange[:_MOST_COMPARED] if known else []
+        self._check_spelling(absent, _ALIKE)
+
+    def _check_spelling(self, absent: list[str], alike: float) -> None:
+        for key in self._strange if absent else ():
+            if meant := difflib.get_close_matches(str(key), absent, 1, alike):
                 raise self.refused(f'{key} is no field: write {meant[0]}')
 
     def __contains__(self, key: str) -> bool:
@@ -243,6 +260,7 @@ class Entry:
     def field(self, key: str) -> Any:
         """Value of `key`, of any kind."""
         if key not in self._mapping:
+            self._check_spelling([key], _ALIKE_MISSING)
             raise self.refused(f'{key} is missing')
         return self._mapping[key]
 

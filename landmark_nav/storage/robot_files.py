@@ -38,7 +38,7 @@ def read_parameters(path: Path | str, nodes: Collection[str]) -> dict[str, Any]:
     format.
     """
     path = Path(path)
-    document = read_yaml_mapping(path)
+    document = read_yaml_mapping(path, 'config')
     sections = list(_sections(document))
     if document and not sections:
         _LOG.warning('%s: write /**: {ros__parameters: ...} around it, for ROS takes it too', path)
@@ -151,7 +151,7 @@ def read_robot(path: Path, former: Mapping[str, Any]) -> dict[str, Any]:
             if not low <= document[key] <= high:
                 del document[key]
     else:
-        document = read_yaml_mapping(path)
+        document = read_yaml_mapping(path, 'robot')
     for key, value in former.items():
         own = document.get(key, {} if isinstance(value, Mapping) else value)
         document[key] = {**value, **own} if isinstance(own, dict) else own
@@ -208,11 +208,13 @@ def _quantities(
             continue
         unit = UNITS[names[0]]
         most = _LARGEST_SIGMA[unit] if sigmas else _LARGEST.get(field, _LARGEST[unit])
-        least, how = (0.0, f'0 to {most:g}') if sigmas else (-most, f'{most:g} at most')
+        least, how = -most, f'{_HOW[unit]}, {most:g} at most'
+        if sigmas:
+            least, how = 0.0, f'must be 0 to {most:g} {unit}'.removesuffix(' 1')
         # A single sigma is that of all quantities of the field.
         several = isinstance(entry.field(key), list) if sigmas else len(names) > 1
         shape = (len(names),) if several else ()
-        given = entry.array(key, shape, least, most, f'{_HOW[unit]}, {how}')
+        given = entry.array(key, shape, least, most, how)
         found |= zip(names, np.broadcast_to(given, len(names)).tolist(), strict=True)
     return found
 

@@ -32,6 +32,11 @@ _MAX_WALL_SIGMA_M = 1.0
 # Sigma of a wall that is given as exact.
 _EXACT_WALL_M = 1e-4
 _METRES = 'lengths are metres'
+# Fields of sheets.
+_SHEET_FIELDS = {
+    'papers': ('color', 'center', 'width', 'height'),
+    'markers': ('number', 'center', 'size'),
+}
 
 # Frames of REP-105 that are not fixed in a room.
 _MOVING_FRAMES = ('odom', 'base_link', 'base_footprint')
@@ -45,7 +50,7 @@ def load_room(path: Path | str) -> Room:
     hangs on no wall.
     """
     path = Path(path)
-    document = read_yaml_mapping(path)
+    document = read_yaml_mapping(path, 'room')
     with inside(path):
         entry = Entry(document, 'room', ('frame_id', 'walls', 'reference_area'))
         walls = walls_of(entry)
@@ -118,7 +123,7 @@ def _reference_area(document: Any) -> tuple[tuple[Paper, ...], tuple[Marker, ...
     dictionary = area.name('marker_dictionary', default)
     last = marker_count(dictionary) - 1
     how = f'{dictionary} has 0 to {last}: give another number, or its marker_dictionary'
-    hung = {key: area.entries(key, longest=_MAX_PAPERS) for key in known}
+    hung = {key: area.entries(key, _SHEET_FIELDS[key], _MAX_PAPERS) for key in known}
     papers = tuple(map(_paper, hung.get('papers', ())))
     markers = tuple(_marker(entry, last, how) for entry in hung.get('markers', ()))
     numbers = [marker.number for marker in markers]

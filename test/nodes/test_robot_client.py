@@ -71,13 +71,24 @@ def test_names_are_seen_from_the_namespace_of_the_client(namespace, name, domain
             assert name not in client.unheard()
 
 
+TWO_NODES = {
+    'simulator': NodeStatus('OK', 'running'),
+    'fusion': NodeStatus('LOST', 'no landmark was found, not one; ' * 20),
+}
+
+
 @pytest.mark.parametrize(
-    ('of', 'named'), [('', 'fusion'), ('simulator', 'simulator'), ('localizer', 'localizer')]
+    ('heard', 'of', 'named'),
+    [
+        (TWO_NODES, '', 'fusion'),
+        (TWO_NODES, 'simulator', 'simulator'),
+        (TWO_NODES, 'localizer', 'localizer'),
+        ({}, '', 'start them: landmark-nav up'),
+    ],
 )
-def test_who_waits_in_vain_hears_of_one_node(of, named, domain_id):
+def test_who_waits_in_vain_hears_of_one_node(heard, of, named, domain_id):
     with RobotClient(domain_id) as client:
-        client.status['simulator'] = NodeStatus('OK', 'running')
-        client.status['fusion'] = NodeStatus('LOST', 'no landmark was found, not one; ' * 20)
+        client.status.update(heard)
         with pytest.raises(LandmarkNavError, match=f'^waited .* for rain: .*{named}') as refused:
             client.wait(lambda: False, 0.0, 'rain', of)
     assert len(str(refused.value)) < 150

@@ -180,7 +180,7 @@ def test_what_is_no_bag_is_refused_with_what_it_is(tmp_path):
     BagWriter(tmp_path / 'bags' / 'drive').__enter__().__exit__(None, None, None)
     refused(tmp_path / 'bags', r'holds 1 bags \(drive\): give one of them')
     for name, head, match in (
-        ('notes.mcap', b'hello world', r'not a bag \(it begins with'),
+        ('notes.mcap', b'hello world', r"not a bag \(it begins with 'hello wo'\)"),
         ('empty.mcap', b'', 'empty'),
         ('old.bag', b'#ROSBAG V2.0\n', 'old.bag: cannot be read'),
         ('a.db3', b'SQLite format 3\0', 'a.db3: cannot be read'),

@@ -1,11 +1,14 @@
 """Commands: help, wrong usage, errors in one line, completion, keys of `drive`."""
 
 import os
+from pathlib import Path
+import re
 import subprocess
 import sys
 import types
 from typing import Any
 
+from harness import BAGS
 import pytest
 
 from landmark_nav.cli.drive import Keys
@@ -127,6 +130,25 @@ def test_arguments_that_cannot_be_are_status_2_and_one_line(arguments, complaint
     line = capsys.readouterr().err.splitlines()[-1]
     assert complaint in line
     assert len(line) <= 200
+
+
+@pytest.mark.parametrize(
+    ('bag', 'room', 'complaint'),
+    [
+        ('drive', None, 'a recording of a drive, .*: give a bag of sweeps, such as bags/learn'),
+        ('learn', 'walls.yaml', r'walls\.yaml: has no papers and .* scale: give --paper-size or'),
+        ('learn', BAGS / 'robot.yaml', 'this is a robot file: give it as --robot'),
+        ('room.yaml', None, r"not a bag \(it begins with '# metres'\): give a rosbag2 folder"),
+    ],
+)
+def test_a_wrong_file_is_one_line(bag, room, complaint, tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path('walls.yaml').write_text((BAGS / 'room.yaml').read_text().partition('reference_area')[0])
+    words = ['learn', str(BAGS / bag), '--robot', str(BAGS / 'robot.yaml'), '--out', 'map']
+    assert main([*words, *(['--room', str(room)] if room else [])]) == 1
+    line = capsys.readouterr().err.splitlines()[-1]
+    assert re.search(complaint, line)
+    assert len(line) <= 220
 
 
 @pytest.mark.parametrize('name', COMMANDS)

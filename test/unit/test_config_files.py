@@ -111,6 +111,7 @@ def test_facts_of_the_robot_still_come_from_where_they_were(tmp_path, name, fact
         (for_all('look_around: {enabled: 1}'), 'take true or false'),
         ('/**: {ros__parameters: [1]}', 'not a mapping'),
         ('- fusion', 'holds no mapping'),
+        ('pan_axis: {xyz: [0, 0, 1]}', 'this is a robot file: give it as --robot'),
     ],
 )
 def test_what_cannot_be_is_named(tmp_path, text, complaint):

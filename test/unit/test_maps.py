@@ -103,7 +103,7 @@ def of_calibration(spoil):
         (first('covariance', [[0.0] * 3] * 3), r'\(id 0\): covariance is less .*exact place'),
         (first('normal', [0.0, 0.0, 1.0]), 'normal is not horizontal'),
         (first('views', [[1.0, 2.0]]), 'views is .*not n x 3 numbers'),
-        (first('views', [[1.0, 2.0, 1.1]] * 3), r'map/views/000_3\.png: cannot be read'),
+        (first('views', [[1.0, 2.0, 1.1]] * 3), r'map/views/000_3\.png: not there'),
         (first('size', [0.0, 1.0]), 'must be positive'),
         (first('id', True), 'not an integer'),
         (lambda d: d['walls'][0].pop('height'), r'walls\[0\]: height is missing'),
@@ -142,7 +142,7 @@ def test_missing_parts_are_named(tmp_path):
     save_map(make_map(), folder)
     refused(folder / 'map.yaml', r'is a file: a map is a folder, .*hall perhaps')
     (folder / 'patches' / '007.png').unlink()
-    refused(folder, r'007\.png: cannot be read: No such file')
+    refused(folder, r'007\.png: not there: the map is incomplete: copy it again')
     (folder / 'map.yaml').write_text('- a\n: b')
     refused(folder, 'not YAML')
 

@@ -72,6 +72,9 @@ def test_robot_as_written_and_defaults(tmp_path):
     [
         (load_room, '- 1', 'holds no mapping'),
         (load_room, '', 'walls is missing'),
+        (load_room, ROBOT, 'this is a robot file: give it as --robot'),
+        (load_robot, ROOM, 'this is a room file: give it as --room'),
+        (load_room, 'walls:\n\t- 1', 'line 2: a tab: indent with spaces'),
         (load_room, 'a: 2\nb: [1', r'not YAML: line \d: .*expected'),
         (load_room, 'a: \x07', 'not YAML: '),
         (load_room, 'walls: 3', 'walls is 3, not a list'),
@@ -92,6 +95,7 @@ def test_robot_as_written_and_defaults(tmp_path):
                 ('frame_id: hall', 'frame_id: odom', 'frame_id is odom, which the robot moves'),
                 ('frame_id: hall', 'frame_id:', 'frame_id is None, not a name'),
                 ('color: red, ', '', r'papers\[0\]: color is missing'),
+                ('color: red', 'colour: red', r'papers\[0\]: colour is no field: write color'),
                 ('color: red', 'color: beige', r"papers\[0\]: paper colour 'beige' is not known"),
                 ('color: red', "color: '#777777'", r'papers\[0\]: .* too grey'),
                 ('height: 0.3', 'height: 297', r'papers\[0\]: .* is no size of a paper: .* met'),
@@ -133,6 +137,7 @@ def test_robot_as_written_and_defaults(tmp_path):
         (load_robot, 'pan_axis: {xyz: [0, 0, 1], rpy: [0, 0, 90]}', 'rpy is .*90.*in radians'),
         (load_robot, 'pan_axis: {xyz: [8, 0, 110]}', r'pan_axis: xyz is \[8.*: lengths are met'),
         (load_robot, 'pan_axs: {xyz: [0, 0, 1]}', 'pan_axs is no field: write pan_axis'),
+        (load_robot, 'pan_axis: {xzy: [0, 0, 1]}', 'pan_axis: xzy is no field: write xyz'),
         *(
             (load_robot, f'pan_axis: {{xyz: [0, 0, 1]}}\n{line}', message)
             for line, message in (
@@ -229,7 +234,7 @@ WRONG = {
     'focal_scale_sigma': (20.0,),
     'optical_center_offset_sigma': ([0.1, 0.1], [0.1, [0.1], 0.1]),
     'focal_scale_sigmas': (0.1,),
-    'pan_axis.xyz_sigma': (20,),
+    'pan_axis.xyz_sigma': (20, -0.02),
     'pan_axis.rpy_sigma': ('x',),
     'pan_axis.xyz_sigmas': (0.1,),
     'correlations': (

@@ -21,10 +21,10 @@ MAP_TOPICS = ('landmarks', 'landmarks/atlas', 'landmarks/markers')
 # Images of a drive and of sweeps, in the order in which they are looked for.
 DRIVE_IMAGES = ('camera/image_raw', 'camera/image_raw/compressed')
 SWEEP_IMAGES = ('sweep/image', 'sweep/image/compressed')
-# Images of one kind of recording -> those of the other kind, and its name.
-OTHER_KIND: dict[tuple[str, ...], tuple[tuple[str, ...], str]] = {
-    DRIVE_IMAGES: (SWEEP_IMAGES, 'sweeps'),
-    SWEEP_IMAGES: (DRIVE_IMAGES, 'a drive'),
+# Images of one kind of recording -> those of the other kind, its name, and what is wanted.
+OTHER_KIND: dict[tuple[str, ...], tuple[tuple[str, ...], str, str]] = {
+    DRIVE_IMAGES: (SWEEP_IMAGES, 'sweeps', 'a drive, such as bags/drive'),
+    SWEEP_IMAGES: (DRIVE_IMAGES, 'a drive', 'sweeps, such as bags/learn'),
 }
 
 # Greatest number of names in a message.

@@ -28,7 +28,7 @@ from rosbags.rosbag1.reader import decompressors, Header, RecordType
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
-from landmark_nav.errors import LandmarkNavError
+from landmark_nav.errors import LandmarkNavError, shown
 from landmark_nav.messages.factory import default_typestore
 from landmark_nav.storage.atomic_io import atomic_folder
 from landmark_nav.storage.bags import container
@@ -190,7 +190,8 @@ def _storage(path: Path, name: Path, head: bytes, on_warning: Callable[[str], No
         return RosbagsFile(path, name)
     if not head:
         raise LandmarkNavError(f'{name}: empty, nothing was recorded')
-    raise LandmarkNavError(f'{name}: not a bag (it begins with {head[:8]!r}): {_WHAT}')
+    begin = shown(head[:8].decode('latin-1'))
+    raise LandmarkNavError(f'{name}: not a bag (it begins with {begin}): {_WHAT}')
 
 
 def _paths(path: Path, on_warning: Callable[[str], None]) -> tuple[list[Path], bool]:

@@ -246,10 +246,11 @@ class Bag:
         """
         if topic := self.find(*alternatives):
             return topic
-        others, kind = definitions.OTHER_KIND.get(alternatives, ((), ''))
+        others, kind, wanted = definitions.OTHER_KIND.get(alternatives, ((), '', ''))
         if self.find(*others):
             raise LandmarkNavError(
-                f'{self.path}: it is a recording of {kind}: topic {alternatives[0]} is missing'
+                f'{self.path}: a recording of {kind}, without {alternatives[0]}: '
+                f'give a bag of {wanted}'
             )
         choices = [
             f'--topic {name}={topic}'
