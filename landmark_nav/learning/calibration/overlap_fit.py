@@ -173,13 +173,13 @@ _CONVERGED_PX = 5e-3
 _NEAR_PX = 0.3
 # Bias of tracking in any pattern, which does not decrease with the number of points.
 _BIAS_PX = 0.003
-# What a match shows is on the wall behind it, outside of a window, or anywhere: means and sigmas
-# of the share by which its inverse range is less than that of the wall (hanging 10 cm off at 3 m;
-# 6 m away or farther; from half the range on), and prior probabilities, which count as this number
-# of matches in each cell. What is off the wall is on it with less than the last probability:
-# otherwise the noise of a match would choose.
-_FARTHER, _FARTHER_SIGMA = np.array([0.0, 0.9, 0.0]), np.array([0.03, 0.1, 1.0])
+# What a match shows is on the wall behind it, outside of a window, or anywhere: prior
+# probabilities, which count as this number of matches in each cell. What is off the wall is on it
+# with less than the last share of the probability: otherwise the noise of a match would choose.
+# What hangs on a wall is 10 cm off it at 3 m; what is outside is 30 m away, from 15 m on; all else
+# is from 1.5 m on.
 _KINDS, _PRIOR_MATCHES, _OFF_WALL = np.array([0.7, 0.15, 0.15]), 10.0, 0.01
+_WALL_SHARE, _OUTSIDE_M, _NEAREST_M = 0.03, 30.0, 1.5
 _ANYWHERE = len(_KINDS) - 1
 # What is of one kind in a cell has one range; a cell is 0.6 m at 3 m.
 _CELL_RAD, _LEAST_INVERSE = 0.2, 1e-3
@@ -204,7 +204,7 @@ class Fit:
     `common` (8,) are the values of `COMMON`, with their covariance (8, 8), zero for fixed terms,
     by the scatter of the matches and by biases of tracking in any pattern; `frames` (n, 3) are
     pan, tilt and roll of each frame, zero without matches; `weight` (m,) are those of the matches.
-    `cells` (k, 2) are those of azimuth and tangent that show more off the walls than on them, and
+    `cells` (k, 2) are those of azimuth and tangent that show most often what is off the walls, and
     `farther` (k,) by how much their inverse range is less than that of the walls, relative to it.
     """
 
@@ -233,8 +233,8 @@ class _Noise:
     objects explain, and `mean` (m,) the expected share by which the inverse range of their kind is
     less than that of the wall. An object is what is of one kind in one cell: `place` (m,) are
     those of the matches, `variance` (n,) those of their ranges, and `by_range` (m, 2) the
-    derivatives of residuals by these. A cell is `farther` (k,) than the wall, or 0 on it. All are
-    None without ranges. `cost` is minus twice the logarithm of the likelihood.
+    derivatives of residuals by these. A cell is `farther` (k,) than the wall, or 0 on it. The
+    last four are None without ranges. `cost` is minus twice the logarithm of the likelihood.
     """
 
     sigma_px: float
@@ -286,16 +286,22 @@ class OverlapProblem:
         self._slopes: tuple[FloatArray, FloatArray] | None = None
         self._range: FloatArray | None = None
         self._room_share = _GUESS_SHARE if guessed else _ROOM_SHARE
-        self._variance = _FARTHER_SIGMA**2
-        if guessed:
-            self._variance = np.maximum(self._variance, _GUESS_SHARE**2)
+        # Of what is of each kind in each cell: by which share the inverse range is less than that
+        # of the wall, mean and variance (k, 3).
         self._cell: IndexArray | None = None
+        self._mean = self._variance = np.zeros((0, len(_KINDS)))
         self._cells = np.zeros((0, 2), np.intp)
         if range_m is not None:
             azimuth, tangent = self._seen(self._last)[0][..., 0].T
             self._range = range_m(azimuth, tangent)
             cells = np.unique(_cells(azimuth, tangent), axis=0, return_inverse=True)
             self._cells, self._cell = cells[0], cells[1].ravel()
+            wall_m = np.bincount(self._cell, self._range) / np.bincount(self._cell)
+            outside = np.minimum(wall_m / _OUTSIDE_M, 0.5)
+            wall, thing = np.full_like(wall_m, _WALL_SHARE), np.maximum(wall_m / _NEAREST_M, 1.0)
+            sigma = np.stack([wall, outside, thing], 1)
+            self._variance = np.maximum(sigma, _GUESS_SHARE if guessed else 0.0) ** 2
+            self._mean = np.stack([0.0 * wall, 1.0 - outside, 0.0 * wall], 1)
 
     def fit(self, free: Sequence[int], frame_sigma: Sequence[float]) -> Fit:
         """
@@ -353,7 +359,8 @@ class OverlapProblem:
         for n in range(iterations + held):
             which = np.setdiff1d(index, _OFFSET) if n < held else index
             noise = self._noise(*at[1:], n < held)
-            # Parallax is less beyond the walls.
+            # Parallax is less outside. What is anywhere has the slopes of the wall: its range is
+            # noisy.
             slopes = self._slopes_at(at[0], at[1]).copy()
             slopes[..., _OFFSET] *= (1.0 - noise.mean)[:, None, None]
             scale = np.sqrt(noise.weight) * focal / noise.sigma_px
@@ -417,12 +424,13 @@ class OverlapProblem:
             if self._cell is None:
                 return _Noise(sigma_px, weight, rest, cost, np.zeros(len(off)))
             size = weight * (focal / sigma_px) ** 2 * shown
-            away, spread = seen[:, None] - _FARTHER, self._variance + 1.0 / size[:, None]
+            away = seen[:, None] - self._mean[self._cell]
+            spread = self._variance[self._cell] + 1.0 / size[:, None]
             likely = np.log(where[self._cell]) - 0.5 * (np.log(spread) + away**2 / spread)
             likely[:, 0] -= np.log(_OFF_WALL)
             kind = np.full(len(off), _ANYWHERE) if anywhere else np.argmax(likely, 1)
             place = len(_KINDS) * self._cell + kind
-            mean = _FARTHER[kind]
+            mean = self._mean[self._cell, kind]
 
             def of_objects(values: FloatArray, place: IndexArray = place) -> FloatArray:
                 found = np.bincount(place, values, len(_KINDS) * len(self._cells))
@@ -431,7 +439,7 @@ class OverlapProblem:
             sizes, count = of_objects(size), of_objects(np.ones(len(off)))
             # Nothing is beyond infinity.
             moved = of_objects(size * (seen - mean)) / (sizes + 1.0 / self._variance)
-            ranges = np.minimum(_FARTHER + moved, 1.0)
+            ranges = np.minimum(self._mean + moved, 1.0)
             rest = off - by_range * ranges.ravel()[place][:, None]
             where = _PRIOR_MATCHES * _KINDS + count
             where /= where.sum(1, keepdims=True)
@@ -439,7 +447,7 @@ class OverlapProblem:
             cost -= 2.0 * float(np.sum((_PRIOR_MATCHES * _KINDS + count) * np.log(where)))
         most = np.argmax(count, 1)
         farther = np.where(most == 0, 0.0, ranges[np.arange(len(most)), most])
-        variance = np.tile(self._variance, len(self._cells))
+        variance = self._variance.ravel()
         return _Noise(sigma_px, weight, rest, cost, mean, by_range, place, variance, farther)
 
     def _whitening(self, noise: _Noise, scale: FloatArray) -> Whitening:
