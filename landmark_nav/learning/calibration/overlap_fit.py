@@ -193,7 +193,7 @@ _RATIOS = 0.2, 0.33, 0.5, 0.7, 1.4, 2.0, 3.0, 5.0
 RangeOfRay = Callable[[FloatArray, FloatArray], FloatArray]
 Whitening = Callable[[FloatArray], FloatArray]
 # Unknowns, residuals (m, 2), and their derivatives (m, 2) by the relative inverse range.
-_Misfit = tuple[FloatArray, FloatArray, FloatArray]
+_State = tuple[FloatArray, FloatArray, FloatArray]
 
 
 @dataclass(frozen=True, eq=False)
@@ -380,7 +380,7 @@ class OverlapProblem:
             pull = flat.T @ residuals(*at[1:]) + precision[which] * at[0][which]
             stepped = partial(self._stepped, at[0], which, normal, pull)
 
-            def cost(there: _Misfit, residuals: Callable[..., FloatArray] = residuals) -> float:
+            def cost(there: _State, residuals: Callable[..., FloatArray] = residuals) -> float:
                 return float(np.sum(residuals(*there[1:]) ** 2) + precision @ there[0] ** 2)
 
             before, at = at, damping.step(at, stepped, cost)
@@ -396,7 +396,7 @@ class OverlapProblem:
         normal: FloatArray,
         pull: FloatArray,
         damping: float,
-    ) -> _Misfit:
+    ) -> _State:
         """Unknowns after a damped step of those at `index`, with the misfit there."""
         there = x.copy()
         there[index] -= solve_positive(normal + damping * np.diag(np.diag(normal)), pull)
